@@ -37,6 +37,7 @@ from rbtrg_robot.provenance import commit, package_version
 from rbtrg_robot.run_folder import bus_socket
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stage_config import (
+    CommsConfig,
     ConsoleConfig,
     ElevationStageConfig,
     FreshnessConfig,
@@ -141,6 +142,7 @@ class StackConfig(BaseModel):
     guard: GuardConfig = GuardConfig()
     recorder: RecorderConfig = RecorderConfig()
     console: ConsoleConfig = ConsoleConfig()
+    comms: CommsConfig = CommsConfig()
 
     @field_validator("unitree")
     @classmethod

@@ -340,6 +340,7 @@ class GoalRequest(Message):
     name: str = ""
     timeout: float = 0.0
     accept_risk: bool = False
+    no_return: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -357,6 +358,7 @@ class GoalStatus(Message):
     y: float = 0.0
     yaw: float = 0.0
     has_yaw: bool = False
+    no_return: bool = False
     distance_left: float = 0.0
     replans: int = 0
     recoveries: int = 0
@@ -498,6 +500,7 @@ class MissionStep(Message):
     choices: list[str] = field(default_factory=list)
     area: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     until: float = 0.0
+    swath: float = 0.0
     on_failure: str = ""
     retries: int = 0
     accept_risk: bool = False
@@ -517,6 +520,7 @@ class MissionOrder(Message):
     frame: str = ""
     on_comms_loss: str = ""
     comms_timeout: float = 0.0
+    no_return: bool = False
     start: int = 0
     has_home: bool = False
     home_x: float = 0.0
@@ -563,6 +567,8 @@ class MissionState(Message):
     reason: str = ""
     returning: bool = False
     failure: str = ""
+    warning: str = ""
+    memory: str = ""
     step: int = 0
     tries: int = 0
     loop_rounds: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))

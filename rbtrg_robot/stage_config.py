@@ -199,6 +199,20 @@ class RecorderConfig(BaseModel):
     )
 
 
+class CommsConfig(BaseModel):
+    """What the robot does when nobody watches it any more."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    timeout: float = Field(
+        30.0, gt=0, le=86400, description="no operator is in contact after so long without a sign of one [s]"
+    )
+    on_loss: Literal["continue", "hold", "return"] = Field(
+        "continue",
+        description="then: go on, stand until one is, or come home along the trail until one is; a mission may have its own",
+    )
+
+
 class ConsoleConfig(BaseModel):
     """Where the page for operators is served."""
 

@@ -47,6 +47,9 @@ def goal(
         bool, typer.Option("--accept", help="Drive it although it is likely to fail (planner.accept_risk).")
     ] = False,
     timeout: Annotated[float, typer.Option(help="Give up after this many seconds; 0 = never.")] = 0.0,
+    back: Annotated[
+        bool, typer.Option("--return/--no-return", help="Come home while the battery lasts for it.")
+    ] = True,
     robot: Robot = ROBOT,
 ) -> None:
     """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
@@ -78,6 +81,7 @@ def goal(
             timeout=timeout,
             owner=me(),
             accept_risk=accept,
+            no_return=not back,
         )
         code = send(bus, request, wait=wait)
     raise typer.Exit(code)
@@ -140,6 +144,7 @@ def _follow(bus: Any, request: Any, *, wait: bool) -> int:
 
     from rbtrg_robot.cli.link import see_also
     from rbtrg_robot.orders.goal import SendGoal
+    from rbtrg_robot.orders.mission import Present
     from rbtrg_robot.orders.order import follow
 
     console = Console(stderr=True)
@@ -150,7 +155,7 @@ def _follow(bus: Any, request: Any, *, wait: bool) -> int:
         TimeElapsedColumn(),
     )
     order = SendGoal(request, wait=wait)
-    farthest = 0.0
+    farthest, present = 0.0, Present(bus)
     with Progress(
         *columns, console=console, transient=True, disable=not (wait and console.is_terminal)
     ) as bar:
@@ -158,6 +163,7 @@ def _follow(bus: Any, request: Any, *, wait: bool) -> int:
 
         def show(_: Any) -> None:
             nonlocal farthest
+            present()
             if (status := order.status) is not None:
                 farthest = max(farthest, status.distance_left)
                 done = 1.0 - status.distance_left / farthest if farthest else 0.0

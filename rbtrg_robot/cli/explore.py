@@ -1,10 +1,10 @@
-"""`explore`: see all ground of an area and come home."""
+"""`explore`: see all ground of an area; `cover`: drive over it in lanes; and come home."""
 
 from __future__ import annotations
 
 import uuid
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -15,41 +15,72 @@ from rbtrg_robot.terminal import say
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command(context_settings={"ignore_unknown_options": True})(explore)
+    for command in (explore, cover):
+        app.command(context_settings={"ignore_unknown_options": True})(command)
+
+
+Corners = Annotated[
+    list[str] | None, typer.Argument(help="X0 Y0 X1 Y1: two corners of the area [m], frame map.")
+]
+Area = Annotated[
+    str, typer.Option("--area", help="FILE (YAML: a list of corners [x, y] in metres), or X0 Y0 X1 Y1.")
+]
+Minutes = Annotated[float, typer.Option(min=0.0, help="Be back after about so many minutes; 0 = no limit.")]
+Back = Annotated[bool, typer.Option("--return/--no-return", help="Come home at the end.")]
+Accept = Annotated[bool, typer.Option("--accept", help="Come home although the way is likely to fail.")]
+Wait = Annotated[bool, typer.Option("--wait", help="Watch until its end.")]
 
 
 def explore(
-    corners: Annotated[
-        list[str] | None, typer.Argument(help="X0 Y0 X1 Y1: two corners of the area [m], frame map.")
-    ] = None,
-    area: Annotated[
-        str, typer.Option("--area", help="FILE (YAML: a list of corners [x, y] in metres), or X0 Y0 X1 Y1.")
-    ] = "",
-    minutes: Annotated[
-        float, typer.Option(min=0.0, help="Be back after about so many minutes; 0 = no limit.")
-    ] = 0.0,
+    corners: Corners = None,
+    area: Area = "",
+    minutes: Minutes = 0.0,
     until: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="End when this share of the area is seen; 0 = all of it.")
     ] = 0.0,
-    back: Annotated[bool, typer.Option("--return/--no-return", help="Come home at the end.")] = True,
-    accept: Annotated[
-        bool, typer.Option("--accept", help="Come home although the way is likely to fail.")
-    ] = False,
-    wait: Annotated[bool, typer.Option("--wait", help="Watch until its end.")] = False,
+    back: Back = True,
+    accept: Accept = False,
+    wait: Wait = False,
     robot: Robot = ROBOT,
 ) -> None:
     """See all ground that can be reached. Or all of an area, and come home. Exit status as of `mission run`."""
+    ground = {"area": _area(area, corners), "minutes": minutes, "until": until}
+    _go_out("explore", ground, back=back, accept=accept, wait=wait, robot=robot)
+
+
+def cover(
+    corners: Corners = None,
+    area: Area = "",
+    swath: Annotated[
+        float,
+        typer.Option(min=0.3, max=50.0, help="From one lane to the next: as wide as the sensor sees [m]."),
+    ] = 2.0,
+    minutes: Minutes = 0.0,
+    back: Back = True,
+    accept: Accept = False,
+    wait: Wait = False,
+    robot: Robot = ROBOT,
+) -> None:
+    """Drive over an area in lanes, and come home. Exit status as of `mission run`."""
+    ground = {"area": _area(area, corners), "minutes": minutes, "swath": swath}
+    _go_out("cover", ground, back=back, accept=accept, wait=wait, robot=robot)
+
+
+def _go_out(
+    kind: Literal["explore", "cover"],
+    ground: dict[str, Any],
+    *,
+    back: bool,
+    accept: bool,
+    wait: bool,
+    robot: str,
+) -> None:
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.cli.mission import send
-    from rbtrg_robot.missions.file import exploration
+    from rbtrg_robot.missions.file import outing
     from rbtrg_robot.orders.who import me
 
-    ground = {
-        "area": _area([*([area] if area else []), *(corners or [])]),
-        "minutes": minutes,
-        "until": until,
-    }
-    mission = exploration(ground, back=back, accept=accept)
+    mission = outing(kind, ground, back=back, accept=accept)
     with connect(robot) as bus:
         code, state = send(bus, mission.order(uuid.uuid4().hex[:12], owner=me()), wait=wait)
     if state is not None and wait:
@@ -60,11 +91,12 @@ def explore(
     raise typer.Exit(code)
 
 
-def _area(words: list[str]) -> list[list[float]]:
+def _area(area: str, corners: list[str] | None) -> list[list[float]]:
     from rbtrg_robot import yaml_file
     from rbtrg_robot.config import ConfigError
     from rbtrg_robot.yaml_file import YamlError
 
+    words = [*([area] if area else []), *(corners or [])]
     if not words:
         return []
     if len(words) == 1:

@@ -31,8 +31,6 @@ ANSWER_LIMIT = 3.0
 """Seconds without any answer from the mission process."""
 SILENCE = 15.0
 """The same while a mission is watched: the process may be restarting."""
-PRESENCE = 1.0
-"""Seconds between two signs that an operator watches."""
 
 
 def register(parent: typer.Typer) -> None:
@@ -70,7 +68,7 @@ def run(
         code, _ = send(bus, order, wait=wait, update=update)
         if wait or code:
             raise typer.Exit(code)
-        if mission.on_comms_loss != "continue":
+        if mission.on_comms_loss not in (None, "continue"):
             say(
                 f"it will {mission.on_comms_loss} unless somebody watches: `rbtrg-robot mission status --follow`"
             )
@@ -278,19 +276,14 @@ def _ask(bus: Bus, action: str, **fields: Any) -> Any:
 def _follow(bus: Bus, begun: Any) -> tuple[int, Any]:
     """Print what changes until the mission of a state ends, and be in contact meanwhile. Returns the exit status and
     the last state."""
-    from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.missions import words
-    from rbtrg_robot.wire.messages import header
+    from rbtrg_robot.orders.mission import Present
 
-    shown, heard, present = "", time.monotonic(), -math.inf
+    shown, heard, present = "", time.monotonic(), Present(bus)
     while True:
-        now = time.monotonic()
-        if now - present >= PRESENCE:
-            present = now
-            stamp = time.time_ns()
-            bus.publish(t.PRESENCE, msg.Presence(header=header(stamp, ""), owner=me()), stamp)
-        if now - heard > SILENCE:
+        present()
+        if time.monotonic() - heard > SILENCE:
             _silent()
         for received in bus.take(0.1):
             state: Any = bus.open(received)

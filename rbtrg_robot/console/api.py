@@ -68,6 +68,7 @@ class Goal(Place):
 
     name: str = Field("", max_length=64)
     accept: bool = Field(False, description="drive although the way is likely to fail")
+    no_return: bool = Field(False, description="stay out although the battery is needed for the way home")
 
 
 class Stance(_Body):
@@ -103,6 +104,16 @@ class Ground(_Body):
     accept: bool = Field(False, description="come home although the way is likely to fail")
 
 
+class Lanes(_Body):
+    """What to drive over in lanes."""
+
+    area: list[tuple[float, float]] = Field(min_length=3, max_length=100, description="corners x, y [m]")
+    swath: float = Field(2.0, ge=0.3, le=50.0, description="from one lane to the next [m]")
+    minutes: float = Field(0.0, ge=0.0, le=1440.0, description="0 = no limit")
+    back: bool = Field(True, description="come home at the end")
+    accept: bool = Field(False, description="come home although the way is likely to fail")
+
+
 class MapName(_Body):
     """A saved map."""
 
@@ -121,6 +132,12 @@ class Alive(_Body):
     """A sign of life of whoever operates."""
 
     watched: bool = Field(False, description="an operator is there: contact with the mission")
+
+
+class Area(_Body):
+    """An area."""
+
+    corners: list[tuple[float, float]] = Field(min_length=3, description="x, y [m] in frame `map`")
 
 
 class Keep(_Body):
@@ -156,6 +173,7 @@ CALLS = (
     Call("POST", "/api/posture", "Stand, sit, damp or recover.", Stance, wish="posture"),
     Call("POST", "/api/home", "Drive home.", Nothing, wish="home"),
     Call("POST", "/api/explore", "See all ground of an area: a mission of its own.", Ground, wish="explore"),
+    Call("POST", "/api/cover", "Drive over an area in lanes: a mission of its own.", Lanes, wish="cover"),
     Call("POST", "/api/mission", "Run a mission, or tell the one that is under way.", Mission, wish="mission"),
     Call("POST", "/api/map", "Begin anew with a saved map.", MapName, wish="load map"),
     Call("POST", "/api/pose", "The robot stands there.", Pose, wish="set pose"),
@@ -164,6 +182,8 @@ CALLS = (
     Call("GET", "/about", "The robot, its scene, its limits."),
     Call("GET", "/missions", "The mission files."),
     Call("GET", "/missions/{file}", "The steps of one."),
+    Call("GET", "/areas", "The saved areas."),
+    Call("POST", "/areas/{name}", "Save an area under this name.", Area),
     Call("GET", "/maps", "The saved maps."),
     Call("GET", "/maps/{file}", "One of them.", media="application/octet-stream"),
     Call("POST", "/maps/{file}", "Save the present map under this name.", Nothing),

@@ -254,6 +254,7 @@ class Desk:
         goal_id = uuid.uuid4().hex[:12]
         name = str(wish.get("name", ""))[:64]
         fields = {"name": name, "owner": self.owner(page), "accept_risk": wish.get("accept") is True}
+        fields["no_return"] = wish.get("no_return") is True
         request = goal_request(time.time_ns(), goal_id, x, y, yaw, **fields)
         outcome = await self.carry_out(SendGoal(request, wait=False))
         return outcome.ok, outcome.words, {"id": goal_id}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import uuid
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -16,7 +16,7 @@ from hal.regular import is_own
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
 from rbtrg_robot.console.frames import mission_order
-from rbtrg_robot.missions.file import MissionError, MissionFile, exploration, load, parse
+from rbtrg_robot.missions.file import MissionError, MissionFile, load, outing, parse
 from rbtrg_robot.orders.mission import TellMission
 
 FOLDER = "missions"
@@ -31,7 +31,7 @@ class MissionFiles:
     def __init__(self, config: StackConfig, desk: Desk) -> None:
         self._desk = desk
         self._folder = Path(config.log_dir).parent / FOLDER
-        desk.wishes |= {"mission": self._tell, "explore": self._explore}
+        desk.wishes |= {"mission": self._tell, "explore": self._explore, "cover": self._cover}
 
     def routes(self) -> list[Route]:
         """Of the server."""
@@ -68,10 +68,18 @@ class MissionFiles:
         return parse(own, "this mission") if own is not None else self.load(str(wish.get("file")))
 
     async def _explore(self, page: Page, wish: dict[str, Any]) -> Answer:
-        ground: dict[str, Any] = {key: wish[key] for key in ("area", "minutes", "until") if key in wish}
+        return await self._go_out("explore", ("area", "minutes", "until"), page, wish)
+
+    async def _cover(self, page: Page, wish: dict[str, Any]) -> Answer:
+        return await self._go_out("cover", ("area", "minutes", "swath"), page, wish)
+
+    async def _go_out(
+        self, kind: Literal["explore", "cover"], fields: tuple[str, ...], page: Page, wish: dict[str, Any]
+    ) -> Answer:
+        ground = {key: wish[key] for key in fields if key in wish}
         back, accept = wish.get("back") is not False, wish.get("accept") is True
         owner = self._desk.owner(page)
-        order = exploration(ground, back=back, accept=accept).order(uuid.uuid4().hex[:12], owner=owner)
+        order = outing(kind, ground, back=back, accept=accept).order(uuid.uuid4().hex[:12], owner=owner)
         return answer(await self._desk.carry_out(TellMission("run", owner=owner, order=order)))
 
     def _rows(self) -> list[dict[str, Any]]:

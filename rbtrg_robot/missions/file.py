@@ -23,7 +23,7 @@ from pydantic import (
 
 from hal.errors import OperatorError
 from rbtrg_robot import msg, yaml_file
-from rbtrg_robot.stages.mission.order import MOST_CORNERS, Blocking, Kind
+from rbtrg_robot.stages.mission.order import LEAST_SWATH, MOST_CORNERS, Blocking, Kind
 from rbtrg_robot.yaml_file import YamlError
 
 
@@ -145,6 +145,26 @@ class Ground(_Model):
         return self
 
 
+class Lanes(_Model):
+    """What to drive over in lanes."""
+
+    area: tuple[tuple[float, float], ...] = Field(
+        min_length=3, max_length=MOST_CORNERS, description="corners x, y of the area [m]"
+    )
+    swath: float = Field(
+        2.0, ge=LEAST_SWATH, le=50.0, description="from one lane to the next, as wide as the sensor sees [m]"
+    )
+    minutes: float = Field(
+        0.0, ge=0.0, le=1440.0, description="ends after about this long, the way home included; 0 = no limit"
+    )
+
+
+class Cover(_Step):
+    """Drive over an area in lanes."""
+
+    cover: Lanes
+
+
 class Explore(_Step):
     """See all ground of an area."""
 
@@ -204,12 +224,13 @@ def _kind(value: Any) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-TAGS = ("word", "goto", "home", "explore", "wait", "ask", "look", "record", "posture", "loop")
+TAGS = ("word", "goto", "home", "explore", "cover", "wait", "ask", "look", "record", "posture", "loop")
 Step = Annotated[
     Annotated[Literal["stand", "sit", "home"], Tag("word")]
     | Annotated[Goto, Tag("goto")]
     | Annotated[GoHome, Tag("home")]
     | Annotated[Explore, Tag("explore")]
+    | Annotated[Cover, Tag("cover")]
     | Annotated[Wait, Tag("wait")]
     | Annotated[Ask, Tag("ask")]
     | Annotated[Look, Tag("look")]
@@ -219,7 +240,7 @@ Step = Annotated[
     Discriminator(
         _kind,
         custom_error_type="step",
-        custom_error_message="a step is one of stand, sit, home, explore, goto, wait, ask, look, record, posture, loop",
+        custom_error_message="a step is one of stand, sit, home, explore, cover, goto, wait, ask, look, record, posture, loop",
     ),
 ]
 Rounds.model_rebuild()
@@ -239,11 +260,18 @@ class MissionFile(_Model):
         "map", description="frame of all places; others begin anew with every start"
     )
     on_failure: OnFailureText = Field("stop", description="what a step without its own `on_failure` does")
-    on_comms_loss: Literal["continue", "hold", "return"] = Field(
-        "continue", description="when no operator is in contact: go on, stand until one is, or drive home"
+    on_comms_loss: Literal["continue", "hold", "return"] | None = Field(
+        None,
+        description="when no operator is in contact: go on, stand until one is, or come home until one is; None = comms.on_loss of the stack",
     )
-    comms_timeout: float = Field(
-        10.0, gt=0, le=86400, description="no operator is in contact after this long [s]"
+    comms_timeout: float | None = Field(
+        None,
+        gt=0,
+        le=86400,
+        description="no operator is in contact after this long [s]; None = comms.timeout of the stack",
+    )
+    no_return: bool = Field(
+        False, description="stay out although the battery will be needed for the way home"
     )
     home: Home | None = Field(None, description="where `home` and `return` go; None = the home of the run")
     steps: tuple[Step, ...] = Field(min_length=1)
@@ -261,8 +289,9 @@ class MissionFile(_Model):
             owner=owner,
             map=self.map,
             frame=self.frame,
-            on_comms_loss=self.on_comms_loss,
-            comms_timeout=self.comms_timeout,
+            on_comms_loss=self.on_comms_loss or "",
+            comms_timeout=self.comms_timeout or 0.0,
+            no_return=self.no_return,
             start=start,
             has_home=home is not None,
             home_x=home.x if home else 0.0,
@@ -324,6 +353,10 @@ def _content(node: Any) -> dict[str, Any]:
         ground = node.explore
         corners = np.array(ground.area, np.float64).reshape(-1)
         return {"area": corners, "duration": 60.0 * ground.minutes, "until": ground.until}
+    if isinstance(node, Cover):
+        over = node.cover
+        corners = np.array(over.area, np.float64).reshape(-1)
+        return {"area": corners, "duration": 60.0 * over.minutes, "swath": over.swath}
     if isinstance(node, Wait):
         return {"duration": node.wait}
     if isinstance(node, Ask):
@@ -351,13 +384,15 @@ def parse(values: Any, what: str) -> MissionFile:
         raise MissionError(f"{what}: {_explain(error)}") from error
 
 
-def exploration(ground: dict[str, Any], *, back: bool, accept: bool) -> MissionFile:
-    """See all of `ground` (fields of `Ground`), and come `back`, with `accept` although the way is likely to fail.
-    Raises MissionError."""
-    steps: list[Any] = [{"explore": ground, "on_failure": "skip" if back else "stop"}]
+def outing(
+    kind: Literal["explore", "cover"], ground: dict[str, Any], *, back: bool, accept: bool
+) -> MissionFile:
+    """Explore `ground` (fields of `Ground`) or cover it (`Lanes`), and come `back`, with `accept` although the way is
+    likely to fail. Raises MissionError."""
+    steps: list[Any] = [{kind: ground, "on_failure": "skip" if back else "stop"}]
     if back:
         steps.append({"home": {"accept_risk": accept}, "on_failure": "retry 3"})
-    return parse({"name": "explore", "steps": steps}, "explore")
+    return parse({"name": kind, "steps": steps, "no_return": not back}, kind)
 
 
 def load(path: Path) -> MissionFile:
@@ -407,6 +442,7 @@ def describe(step: msg.MissionStep) -> str:
         Kind.WAIT: f"wait {step.duration:g} s",
         Kind.ASK: f"ask {step.text!r} ({', '.join(step.choices)})",
         Kind.EXPLORE: "explore" + (f" an area of {len(step.area) // 2} corners" if len(step.area) else ""),
+        Kind.COVER: f"cover an area of {len(step.area) // 2} corners in lanes {step.swath:g} m apart",
         Kind.RECORD: f"record {step.text}".strip(),
     }
     return words.get(step.kind, step.kind)

@@ -33,12 +33,24 @@ def lines(state: MissionState) -> list[str]:
     if state.question:
         text += f": {state.question} `rbtrg-robot mission answer {'|'.join(state.choices)}`"
     rows = zip(state.action_id, state.action_status, state.result_description, strict=True)
-    return [text, *(f"{k:4d} {a:20s} {s:9s} {r}".rstrip() for k, (a, s, r) in enumerate(rows, 1))]
+    warned = [state.warning] if state.warning else []
+    return [text, *warned, *(f"{k:4d} {a:20s} {s:9s} {r}".rstrip() for k, (a, s, r) in enumerate(rows, 1))]
 
 
 def as_record(state: MissionState) -> dict[str, Any]:
     """A mission for `--json`: VDA 5050's words where it has them."""
-    keys = ("name", "owner", "phase", "reason", "returning", "failure", "step", "tries", "question")
+    keys = (
+        "name",
+        "owner",
+        "phase",
+        "reason",
+        "returning",
+        "failure",
+        "warning",
+        "step",
+        "tries",
+        "question",
+    )
     rows = zip(state.action_id, state.action_type, state.action_status, state.result_description, strict=True)
     names = ("actionId", "actionType", "actionStatus", "resultDescription")
     return {

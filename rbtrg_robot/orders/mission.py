@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import uuid
 from typing import Any
@@ -13,7 +14,27 @@ from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import header
+
+
+class Present:
+    """Tells once a second that an operator watches."""
+
+    PERIOD = 1.0
+    """[s]"""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._due = -math.inf
+
+    def __call__(self, *_: Any) -> None:
+        """Call in every turn."""
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + self.PERIOD
+            stamp = time.time_ns()
+            self._bus.publish(t.PRESENCE, msg.Presence(header=header(stamp, ""), owner=me()), stamp)
 
 
 class TellMission(Order):

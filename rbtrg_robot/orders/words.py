@@ -42,6 +42,8 @@ def robot_line(robot: dict[str, Any]) -> str:
     words += clocks(robot.get("lidars", {}))
     if robot.get("location"):
         words.append(robot["location"])
+    if robot.get("warning"):
+        words.append(robot["warning"])
     if robot.get("map_warning"):
         words.append(f"MAP: {robot['map_warning']}")
     words.append(f"real-time factor {robot['realtime_factor']:.2f}")

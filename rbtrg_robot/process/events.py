@@ -77,7 +77,7 @@ class Events:
         self._said: dict[Topic, str] = {}
         self._state = msg.RobotState(battery=1.0)
         self._map = msg.MapStatus()
-        self._lost = self._low = False
+        self._lost = self._low = self._returns = False
         self._strangers: set[str] = set()
         self._refused: dict[str, tuple[int, int]] = {}
         """Of each reason: how many, and when the newest came [ns]."""
@@ -180,6 +180,9 @@ class Events:
             self.happened("goal", ", ".join(filter(None, (text, chance))), _grade(status.state), who, at)
 
     def _mission(self, state: msg.MissionState) -> None:
+        if state.warning and not self._returns:
+            self.happened("battery", state.warning, WARNING)
+        self._returns = bool(state.warning)
         why = state.question or state.reason
         text = f"mission {state.name} {state.phase}" + (f": {why}" if why else "") if state.order_id else ""
         if self._new(t.MISSION_STATE, text):

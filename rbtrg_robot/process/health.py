@@ -233,6 +233,8 @@ class Health:
                 "chance": arrival(goal.p_fail, goal.worst),
             }
         mission = self.newest.get(t.MISSION_STATE)
+        if mission is not None and mission.warning:
+            row["warning"] = mission.warning
         if mission is not None and mission.order_id:
             row["mission"] = {
                 "name": mission.name,

@@ -12,12 +12,14 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.provenance import fingerprint
+from rbtrg_robot.stage_config import CommsConfig
 from rbtrg_robot.stages.mission.mission import Mission, Phase
 from rbtrg_robot.stages.mission.order import (
     EVERYWHERE,
     Kind,
     OnCommsLoss,
     OnFailure,
+    in_place_of,
     refusal,
     update_refusal,
 )
@@ -25,7 +27,7 @@ from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.stages.mission.runner import Runner, World
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.progress import Pose2
-from rbtrg_robot.stages.navigation.reasons import unlocated
+from rbtrg_robot.stages.navigation.reasons import absence, hindrance, unlocated
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, yaw_of
@@ -34,6 +36,8 @@ from rbtrg_robot.wire.messages import header
 
 KNOWN = 1000
 """Requests whose ids are remembered: a late repeat must not do anything."""
+HERE = 1.0
+"""[m] A robot so near to home is at home."""
 TELL = NS
 """Between two states where nothing changed [ns]."""
 
@@ -58,10 +62,15 @@ class MissionStage:
     outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND, t.EXPLORE_QUESTION)
 
     def __init__(
-        self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "", floor: float = 0.0
+        self,
+        possible: frozenset[Kind] = EVERYWHERE,
+        prior_map: str = "",
+        floor: float = 0.0,
+        comms: CommsConfig = CommsConfig(),
     ) -> None:
         """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty; `floor`: see
-        `Reserve`."""
+        `Reserve`; `comms`: for whatever does not say it itself."""
+        self._comms = comms
         self._possible, self._prior_map = possible, prior_map
         self._world = World(reserve=Reserve(floor))
         self._runner = Runner(self._world)
@@ -72,6 +81,9 @@ class MissionStage:
         self._left: msg.MissionOrder | None = None
         """Order of a process that is gone; its state follows."""
         self._known: deque[str] = deque(maxlen=KNOWN)
+        self._sent, self._taken_over = "", False
+        """The newest goal of somebody, and whether a mission took its place or brought the robot home since."""
+        self._warned = False
         self._answer = ("", "")
         """The newest request's id, and why it was refused."""
         self._due = 0
@@ -90,7 +102,10 @@ class MissionStage:
                 pose = message.pose.pose
                 world.pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
                 if world.robot is not None:
-                    world.reserve.take(world.robot.battery, world.pose)
+                    world.reserve.take(world.robot.battery, world.pose, world.now)
+                mission = self._runner.mission
+                home = mission.home if mission and mission.phase.active else None
+                world.way.take(world.pose, (home.x, home.y, home.yaw) if home else self.home)
             return []
         if t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
@@ -123,8 +138,61 @@ class MissionStage:
             self._runner.clock_reset()
             self._due = now
         self._world.now = now
-        out = self._runner.tick()
+        out = self._take_over() + self._runner.tick()
+        if self._warned != bool(self._warning()):
+            self._warned, self._runner.changed = not self._warned, True
         return self._tell(due=now >= self._due) + out
+
+    @property
+    def _sent_out(self) -> bool:
+        """Somebody sent the robot somewhere, and wants it back."""
+        goal = self._world.goal
+        return goal is not None and goal.id != "" and not goal.no_return
+
+    def _warning(self) -> str:
+        """That the battery will be needed for the way home."""
+        world, mission = self._world, self._runner.mission
+        running = mission is not None and mission.phase.active
+        away = world.way.length > HERE and not (mission is not None and running and mission.returning)
+        stays = mission.order.no_return if mission and running else not self._sent_out
+        return "" if stays or not away else world.reserve.warning(world.way.length)
+
+    def _take_over(self) -> Outputs:
+        """A goal of somebody becomes a mission, which stands or comes home, where nobody is in contact any more or the
+        battery is needed for the way home; so does a robot that was sent out and stands there."""
+        world, present, goal = self._world, self._runner.mission, self._world.goal
+        if goal is None or not goal.id or (present and present.phase in (Phase.RUNNING, Phase.HOLDING)):
+            return []
+        if world.theirs and goal.id != self._sent:
+            self._sent, self._taken_over, world.contact = goal.id, False, world.now
+        if self._taken_over or not world.way.length > HERE:
+            return []
+        if hindrance(world.robot) or absence(world.robot, None):
+            self._taken_over |= not world.theirs  # nothing moves when they let it go, until it is sent again
+            return []
+        if unlocated(self._map):
+            return []
+        if not world.theirs and present and present.phase.active:
+            return []  # paused: it goes on only when told to
+        home = self.home
+        comes = world.theirs and home is not None and math.dist((goal.x, goal.y), home[:2]) < HERE
+        low = "" if goal.no_return or comes else world.reserve.short(world.way.length)
+        silent = world.now - (world.contact or world.now) > self._comms.timeout * NS
+        lost = world.theirs and silent and self._comms.on_loss != OnCommsLoss.CONTINUE
+        if not low and not lost:
+            return []
+        self._taken_over, world.displaced = True, goal.id if world.theirs else ""
+        order = self._followed(in_place_of(goal, world.now, low, sent=world.theirs))
+        self._runner.start(order)
+        return [(t.MISSION_ORDER, order)]
+
+    def _followed(self, order: msg.MissionOrder) -> msg.MissionOrder:
+        """With what the order leaves to the stack."""
+        order.on_comms_loss = order.on_comms_loss or self._comms.on_loss
+        order.comms_timeout = order.comms_timeout or self._comms.timeout
+        if not order.has_home and (home := self.home) is not None:
+            order.home_x, order.home_y, order.home_yaw = home
+        return order
 
     def _take(self, request: msg.MissionRequest) -> Outputs:
         out: Outputs = []
@@ -179,14 +247,12 @@ class MissionStage:
             return "this order was followed before: give it a new order_id"
         if why := refusal(order, self._possible, self._prior_map) or self._world.hindrance():
             return why
-        if not order.has_home:
-            if (home := self.home) is not None:
-                order.home_x, order.home_y, order.home_yaw = home
-            elif _returns(order):
-                return "where home is is not known yet, so it could not return: give the mission a home"
+        order = self._followed(order)
+        if not order.has_home and self.home is None and _returns(order):
+            return "where home is is not known yet, so it could not return: give the mission a home"
         order.header = header(self._world.now, MAP)
         order.owner = order.owner or request.owner
-        self._world.contact = self._world.now
+        self._world.contact, self._world.displaced, self._taken_over = self._world.now, "", False
         self._runner.start(order)
         out.append((t.MISSION_ORDER, order))
         return ""
@@ -199,6 +265,7 @@ class MissionStage:
         if not why:
             old = mission.order
             home = (old.home_x, old.home_y, old.home_yaw)
+            order = self._followed(order)
             mission.update(self._with_home(order, home, old.owner))
             out.append((t.MISSION_ORDER, mission.order))
         return why
@@ -254,7 +321,7 @@ class MissionStage:
         idle = msg.MissionState(header=header(now, MAP), phase=Phase.IDLE.value)
         state = mission.state(now) if mission else idle
         state.request, state.refused = self._answer
-        state.map = self._prior_map
+        state.map, state.warning = self._prior_map, self._warning()
         if (home := self.home) is not None:
             state.has_home, state.home_told = True, self._told_home is not None
             state.home_x, state.home_y, state.home_yaw = home
@@ -272,4 +339,4 @@ def build(config: StackConfig) -> MissionStage:
     """From the stack's configuration."""
     recorded = config.record and "recorder" not in config.without
     possible = EVERYWHERE | ({Kind.RECORD} if recorded else frozenset())
-    return MissionStage(possible, fingerprint(config.map_file), config.gate.min_battery)
+    return MissionStage(possible, fingerprint(config.map_file), config.gate.min_battery, config.comms)

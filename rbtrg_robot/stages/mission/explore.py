@@ -9,15 +9,16 @@ known then.
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
 from rbtrg_robot.stages.mission.order import Kind
-from rbtrg_robot.stages.mission.reserve import Reserve
+from rbtrg_robot.stages.mission.reserve import SPEED
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.convert import MAP
@@ -33,8 +34,6 @@ MOVED = 1.0
 """[m] by which the place driven to must have moved before the robot is told."""
 ANEW = 3
 """Other graphs that are searched before there is no place left."""
-SPEED = 0.3
-"""[m/s] along ways home, by experience of explored ground."""
 LISTED = 8
 """Places left are told, at most."""
 UNREACHABLE = "no way leads there within the accepted risk"
@@ -55,10 +54,8 @@ class GivenUp:
 class Exploration:
     """One try of the step, as `Attempt` is; begins when it is made."""
 
-    def __init__(self, step: msg.MissionStep, now: int, home: Pose2 | None, reserve: Reserve) -> None:
-        """`now` [ns]; `home`: where the way ends, None where the robot stays; `reserve`: fed by whoever hears battery
-        and pose."""
-        self._reserve = reserve
+    def __init__(self, step: msg.MissionStep, now: int, home: Pose2 | None, memory: str = "") -> None:
+        """`now` [ns]; `home`: where the way ends, None where the robot stays; `memory` of a try that was interrupted."""
         self._step, self._began, self._home = step, now, home
         self._heard = now
         """When the planner answered last, or the step began [ns]."""
@@ -80,6 +77,27 @@ class Exploration:
         self.places = 0
         """Goals that were reached."""
         self.answer = ""
+        if memory:
+            kept = json.loads(memory)
+            self._began -= round(kept["spent"] * NS)
+            self._given_up = [GivenUp(**place) for place in kept["given_up"]]
+            self._retried, self.places = kept["retried"], kept["places"]
+
+    def memory(self, now: int) -> str:
+        """What another try goes on with."""
+        kept = {
+            "spent": round((now - self._began) / NS, 1),
+            "given_up": [asdict(place) for place in self._given_up],
+            "retried": self._retried,
+            "places": self.places,
+        }
+        return json.dumps(kept)
+
+    def way_home(self, driven: float) -> float:
+        """[m]: what the planner found, or `driven`, along what was driven, where that is shorter or the planner found
+        none."""
+        found = math.inf if self._views is None else self._views.home
+        return min((way for way in (found, driven) if math.isfinite(way)), default=math.nan)
 
     @property
     def target(self) -> tuple[float, float] | None:
@@ -145,15 +163,22 @@ class Exploration:
     def _give_up(self, place: tuple[float, float], why: str, *, again: bool) -> None:
         self._given_up.append(GivenUp(*place, why, again and not self._retried))
 
-    def verdict(self, now: int, goal: msg.GoalStatus | None, robot: msg.RobotState | None) -> Verdict:
-        """From the newest words of navigator and robot."""
+    def verdict(
+        self,
+        now: int,
+        goal: msg.GoalStatus | None,
+        robot: msg.RobotState | None,
+        way: float = math.nan,
+        low: str = "",
+    ) -> Verdict:
+        """From the newest words of navigator and robot; `way` home [m] (`way_home`), and why the battery needs it to begin."""
         if self._drive is not None and self._target is not None:
             drive = self._drive.verdict(now, goal, robot)
             if drive.outcome is Outcome.NEEDS_OPERATOR:
                 return drive
             if drive.outcome is not Outcome.RUNNING:
                 self._ended(drive, now)
-        if why := self._over(now) or (self._reserve.short(self._views.home) if self._views else ""):
+        if why := self._over(now, way) or (low if self._views else ""):
             return self._end(why)
         if self._open and (now - self._heard) / NS > GIVE_UP:
             refused = self._views.refused if self._views else ""
@@ -177,14 +202,14 @@ class Exploration:
         self._open = False  # it was asked from elsewhere
         self._stood = now
 
-    def _over(self, now: int) -> str:
+    def _over(self, now: int, way: float) -> str:
         """Why time or coverage end it; empty where they do not."""
         views, step = self._views, self._step
         if views is None:
             return ""
         if 0.0 < step.until <= self.coverage and len(step.area):
             return f"{100 * step.until:g} % of the area are seen"
-        back = views.home / SPEED if math.isfinite(views.home) else 0.0
+        back = way / SPEED if self._home is not None and math.isfinite(way) else 0.0
         spent = (now - self._began) / NS
         return f"the {step.duration / 60:g} minutes are over" if 0.0 < step.duration < spent + back else ""
 

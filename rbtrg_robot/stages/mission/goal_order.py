@@ -31,11 +31,13 @@ class GoalOrder:
         self._wanted = request
         self._sent.clear()
 
-    def orders(self, now: int, status: msg.GoalStatus | None) -> Outputs:
-        """What to tell the navigator whose newest status this is; `now` in ns."""
+    def orders(self, now: int, status: msg.GoalStatus | None, displaced: str = "") -> Outputs:
+        """What to tell the navigator whose newest status this is; `now` in ns. `displaced`: id of a goal of somebody
+        that a mission took the place of."""
         wanted = self._wanted.id if self._wanted else ""
         out: Outputs = []
-        stray = status.id if status and active(status) and status.id.startswith(OURS) else ""
+        ours = status is not None and (status.id.startswith(OURS) or status.id == displaced)
+        stray = status.id if status and active(status) and ours else ""
         if stray not in ("", wanted) and self._due(f"cancel {stray}", now):
             cancel = msg.GoalRequest(header=header(now, "map"), action=1, id=stray, owner="mission")
             out.append((t.GOAL_REQUEST, cancel))

@@ -62,6 +62,8 @@ class Mission:
     """The goal that is under way; empty where none is."""
     goals: int = 0
     asking: bool = False
+    memory: str = ""
+    """What the present step must remember over an interruption, as JSON."""
     home: msg.MissionStep = field(default_factory=msg.MissionStep)
 
     @classmethod
@@ -91,6 +93,7 @@ class Mission:
             state.tries,
             state.goal_id,
             state.goals,
+            memory=state.memory,
             home=_home(order),
         )
 
@@ -116,7 +119,7 @@ class Mission:
     def advance(self) -> bool:
         """To the next step; False at the end."""
         ahead = self.cursor.advance()
-        self.tries = 0
+        self.tries, self.memory = 0, ""
         if ahead is None:
             return False
         for k in range(ahead[0] - 1, ahead[1]):
@@ -159,6 +162,7 @@ class Mission:
             reason=self.reason,
             returning=self.returning,
             failure=self.failure,
+            memory=self.memory,
             step=self.cursor.at,
             tries=self.tries,
             loop_rounds=array(self.cursor.rounds, "uint32"),

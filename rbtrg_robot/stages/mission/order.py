@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.cursor import nested
 from rbtrg_robot.wire.convert import MAP
-from rbtrg_robot.wire.messages import encode
+from rbtrg_robot.wire.messages import encode, header
 
 
 class Kind(StrEnum):
@@ -19,6 +20,7 @@ class Kind(StrEnum):
     GOTO = "goto"
     HOME = "home"
     EXPLORE = "explore"
+    COVER = "cover"
     WAIT = "wait"
     ASK = "ask"
     STAND = "stand"
@@ -54,15 +56,44 @@ class Blocking(StrEnum):
 MOST_STEPS = 1000
 MOST_RETRIES = 100
 MOST_CORNERS = 100
+LEAST_SWATH = 0.3
+"""[m]"""
+APART = 4.0
+"""[m] from one goal on a lane of a cover to the next, at most."""
+MOST_PLACES = 4000
+"""Of those goals, by the diagonal of the area: what is remembered of them stays small."""
 LONGEST_TEXT = 500
 """Characters of a name or a question."""
-EVERYWHERE = frozenset({Kind.GOTO, Kind.HOME, Kind.EXPLORE, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT})
+EVERYWHERE = frozenset(
+    {Kind.GOTO, Kind.HOME, Kind.EXPLORE, Kind.COVER, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT}
+)
 """What every backend does. `look` is not among them: the robot process takes no attitude yet."""
 WHY_NOT = {
     Kind.LOOK: "the robot process does not turn the body yet",
     Kind.RECORD: "the stack was started without a recorder",
 }
 """Why a step of this kind cannot be done here."""
+
+
+def in_place_of(goal: msg.GoalStatus, now: int, why: str, *, sent: bool) -> msg.MissionOrder:
+    """The mission that a goal of somebody becomes at `now` [ns] while it is under way (`sent`); else one that leads
+    home, and `why`."""
+    fields: dict[str, Any] = {"id": "home", "kind": Kind.HOME, "on_failure": OnFailure.RETRY, "retries": 3}
+    name = f"way home ({why})"
+    if sent:
+        fields = {"id": "goal", "kind": Kind.GOTO, "on_failure": OnFailure.STOP, "x": goal.x, "y": goal.y}
+        fields |= {"yaw": goal.yaw, "has_yaw": goal.has_yaw}
+        name = f"goal of {goal.owner}".strip()
+    return msg.MissionOrder(
+        header=header(now, MAP),
+        order_id=f"{goal.id}/{now}",
+        name=name[:LONGEST_TEXT],
+        owner=goal.owner,
+        frame=MAP,
+        start=1,
+        steps=[msg.MissionStep(blocking_type=Blocking.HARD, **fields)],
+        no_return=goal.no_return,
+    )
 
 
 def refusal(order: msg.MissionOrder, possible: frozenset[Kind], prior_map: str) -> str:
@@ -77,10 +108,10 @@ def refusal(order: msg.MissionOrder, possible: frozenset[Kind], prior_map: str) 
     if order.map not in ("", prior_map):
         running = f"{prior_map} is loaded" if prior_map else "none is loaded"
         return f"it was made on map {order.map}, {running}: start the stack with `up --map FILE`"
-    if order.on_comms_loss not in OnCommsLoss._value2member_map_:
+    if order.on_comms_loss not in ("", *OnCommsLoss):
         return f"on_comms_loss {order.on_comms_loss!r} is none of {', '.join(OnCommsLoss)}"
-    if not (math.isfinite(order.comms_timeout) and order.comms_timeout > 0):
-        return "comms_timeout must be more than 0 s"
+    if not (math.isfinite(order.comms_timeout) and order.comms_timeout >= 0):
+        return "comms_timeout must not be less than 0 s"
     if not all(map(math.isfinite, (order.home_x, order.home_y, order.home_yaw))):
         return "home has numbers that are not finite"
     if not 1 <= len(order.steps) <= MOST_STEPS:
@@ -108,7 +139,7 @@ def _step_refusal(step: msg.MissionStep, possible: frozenset[Kind]) -> str:
         return "it has numbers that are not finite"
     if step.duration < 0 or step.timeout < 0:
         return "times are not negative"
-    if kind is Kind.EXPLORE and (why := _area_refusal(step)):
+    if kind in (Kind.EXPLORE, Kind.COVER) and (why := _area_refusal(step, kind)):
         return why
     if step.on_failure not in OnFailure._value2member_map_:
         return f"on_failure {step.on_failure!r} is none of {', '.join(OnFailure)}"
@@ -123,9 +154,17 @@ def _step_refusal(step: msg.MissionStep, possible: frozenset[Kind]) -> str:
     return ""
 
 
-def _area_refusal(step: msg.MissionStep) -> str:
+def _area_refusal(step: msg.MissionStep, kind: Kind) -> str:
     if not np.isfinite(step.area).all() or len(step.area) not in (0, *range(6, 2 * MOST_CORNERS + 2, 2)):
         return f"an area has 3 to {MOST_CORNERS} corners, each with finite x and y"
+    if kind is Kind.COVER:
+        if not len(step.area):
+            return "it needs an area"
+        if not step.swath >= LEAST_SWATH:
+            return f"a swath is at least {LEAST_SWATH} m"
+        across = math.hypot(*np.ptp(step.area.reshape(-1, 2), axis=0))
+        most = (across / step.swath + 1.0) * (across / APART + 2.0)
+        return "" if most <= MOST_PLACES else "the area is too large for this swath: cover it in parts"
     if not 0.0 <= step.until <= 1.0:
         return "`until` is a share from 0 to 1"
     return "`until` needs an area" if step.until > 0.0 and not len(step.area) else ""

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import Attempt, Outcome, Verdict
+from rbtrg_robot.stages.mission.cover import Coverage
 from rbtrg_robot.stages.mission.explore import Exploration
 from rbtrg_robot.stages.mission.goal_order import GoalOrder, active
 from rbtrg_robot.stages.mission.mission import OURS, Mission, Phase, Status
 from rbtrg_robot.stages.mission.order import Blocking, Kind, OnCommsLoss, OnFailure
 from rbtrg_robot.stages.mission.reserve import Reserve
+from rbtrg_robot.stages.mission.way_home import Place, WayHome
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason, absence, hindrance, words
@@ -19,6 +21,10 @@ from rbtrg_robot.stages.stage import Outputs
 
 RETRY_PAUSE = 2 * NS
 """From a failed try to the next one [ns]."""
+RETURN_TRIES = 3
+"""More, of the way home."""
+ALONG = 4.0
+"""[m] from one goal to the next on the way home along the trail."""
 
 
 @dataclass(slots=True)
@@ -34,8 +40,17 @@ class World:
     pose: Pose2 | None = None
     reserve: Reserve = field(default_factory=lambda: Reserve(0.0))
     """Fed with every pose; what driving cost so far in this run."""
+    way: WayHome = field(default_factory=WayHome)
+    """Likewise: the way home along what was driven."""
+    displaced: str = ""
+    """Id of somebody's goal that a mission took the place of."""
     views: msg.Viewpoints | None = None
     """The planner's newest answer to a robot that explores."""
+
+    @property
+    def theirs(self) -> bool:
+        """A goal of somebody else is under way."""
+        return self.goal is not None and active(self.goal) and not self.goal.id.startswith(OURS)
 
     def others(self) -> str:
         """Who stopped the robot, drives it or sent it elsewhere, in words; empty where nobody does."""
@@ -43,7 +58,7 @@ class World:
             return words(Reason.ESTOP, f"{self.robot.estop_cause}; `rbtrg-robot resume` releases it")
         if self.robot is not None and self.robot.taken:
             return words(Reason.TAKEN, self.robot.taken)
-        if self.goal is not None and active(self.goal) and not self.goal.id.startswith(OURS):
+        if self.goal is not None and self.theirs and self.goal.id != self.displaced:
             return f"another goal of {self.goal.owner or 'somebody without a name'} is under way"
         return ""
 
@@ -62,18 +77,26 @@ class Runner:
     def __init__(self, world: World) -> None:
         self._world = world
         self.mission: Mission | None = None
-        self._attempt: Attempt | Exploration | None = None
+        self._attempt: Attempt | Exploration | Coverage | None = None
         self._told = 0
         self._goals = GoalOrder()
         self._retry_at = 0
+        self._until_contact = False
+        """The robot comes home, until an operator is in contact."""
+        self._places: list[Place] = []
+        """Where it comes by on that way."""
         self.changed = False
         """The state must be told."""
 
     def tick(self) -> Outputs:
         """Go on; what to tell navigator and robot."""
         mission, out = self.mission, Outputs()
-        if mission and mission.phase is Phase.HOLDING and not self._out_of_contact(mission):
-            mission.phase, mission.reason, self.changed = Phase.RUNNING, "", True
+        if mission and mission.phase is Phase.HOLDING:
+            low = self._low(mission)
+            if low or not self._out_of_contact(mission):
+                mission.phase, mission.reason, self.changed = Phase.RUNNING, "", True
+            if low:
+                self._give_up(mission, low)
         if mission and mission.phase is Phase.RUNNING:
             out = self._run(mission)
         return out + self.goals()
@@ -82,7 +105,7 @@ class Runner:
         """What to tell the navigator."""
         if self.mission and self.mission.goal_id and self._attempt is None:
             return []  # the goal of before a restart is taken up by the next tick
-        return self._goals.orders(self._world.now, self._world.goal)
+        return self._goals.orders(self._world.now, self._world.goal, self._world.displaced)
 
     def clock_reset(self) -> None:
         """Times of before mean nothing."""
@@ -90,20 +113,33 @@ class Runner:
 
     def _run(self, mission: Mission) -> Outputs:
         now = self._world.now
+        watched = mission.step.kind in (
+            Kind.HOME,
+            Kind.EXPLORE,
+            Kind.COVER,
+        )  # it leads home, or sees to it itself
+        if not watched and (low := self._low(mission)):
+            self._give_up(mission, low)
+            return []
         if not mission.returning and self._out_of_contact(mission):
             gone = f"no operator in contact for {mission.order.comms_timeout:g} s"
             if mission.order.on_comms_loss == OnCommsLoss.RETURN:
-                self._drop(mission, Status.FAILED, gone)
-                self._go_home(mission, gone)
+                self._give_up(mission, gone)
+                self._until_contact, self._places = True, self._world.way.places(ALONG)[:-1]
             else:
                 self.halt(Phase.HOLDING, gone)
+            return []
+        if mission.returning and self._until_contact and not self._out_of_contact(mission):
+            mission.returning, self._until_contact = False, False
+            back = f"{mission.failure}; it came back until one was, `rbtrg-robot mission resume` goes on"
+            self.halt(Phase.PAUSED, back)
             return []
         if self._attempt is None:
             if now >= self._retry_at:
                 self._begin(mission)
             return []
-        if isinstance(self._attempt, Exploration):
-            orders, verdict = self._explore(mission, self._attempt)
+        if isinstance(self._attempt, Exploration | Coverage):
+            orders, verdict = self._roam(mission, self._attempt)
         else:
             orders = self._attempt.orders(now)
             verdict = self._attempt.verdict(now, self._world.goal, self._world.robot)
@@ -115,12 +151,14 @@ class Runner:
             self.halt(Phase.PAUSED, verdict.detail)
         return orders
 
-    def _explore(self, mission: Mission, step: Exploration) -> tuple[Outputs, Verdict]:
+    def _roam(self, mission: Mission, step: Exploration | Coverage) -> tuple[Outputs, Verdict]:
         world = self._world
         if world.views is not None:
             step.take(world.views, world.now)
             world.views = None
-        verdict = step.verdict(world.now, world.goal, world.robot)
+        way = step.way_home(world.way.length)
+        low = "" if mission.order.no_return else world.reserve.short(way)
+        verdict = step.verdict(world.now, world.goal, world.robot, way, low)
         if verdict.outcome is not Outcome.RUNNING:
             return [], verdict
         if step.wants_goal:
@@ -134,6 +172,7 @@ class Runner:
         if world.now - self._told >= NS and step.progress:
             self._told = world.now
             mission.mark(Status.RUNNING, step.progress)
+            mission.memory = step.memory(world.now)
             self.changed = True
         return step.orders(world.now, world.pose), verdict
 
@@ -150,6 +189,7 @@ class Runner:
             "timeout": timeout,
             "owner": f"mission {mission.order.name}".strip(),
             "accept_risk": accept_risk,
+            "no_return": mission.order.no_return,
         }
         self._goals.want(goal_request(self._world.now, mission.name_goal(), x, y, yaw, **fields))
 
@@ -160,18 +200,29 @@ class Runner:
             self._world.contact = self._world.now
         return self._world.now - self._world.contact > mission.order.comms_timeout * NS
 
+    def _low(self, mission: Mission) -> str:
+        """Why the battery needs the way home to begin; empty where it does not, or it has begun."""
+        if mission.order.no_return or mission.returning:
+            return ""
+        return self._world.reserve.short(self._world.way.length)
+
     def _begin(self, mission: Mission) -> None:
         """Try the present step. A goal of before a restart goes on: the navigator knows it by its id."""
         step, now = mission.step, self._world.now
         mission.mark(Status.RUNNING)
-        if step.kind in (Kind.GOTO, Kind.HOME):
+        if mission.returning and self._places:
+            self._send(mission, *self._places[0])
+        elif step.kind in (Kind.GOTO, Kind.HOME):
             place = mission.home if step.kind == Kind.HOME else step
             yaw = place.yaw if place.has_yaw else None
             self._send(mission, place.x, place.y, yaw, step.timeout, step.accept_risk)
         mission.asking = step.kind == Kind.ASK
         if step.kind == Kind.EXPLORE:
             mission.goal_id, self._world.views = "", None
-            self._attempt = Exploration(step, now, mission.ends_at, self._world.reserve)
+            self._attempt = Exploration(step, now, mission.ends_at, mission.memory)
+        elif step.kind == Kind.COVER:
+            mission.goal_id, home = "", mission.ends_at is not None
+            self._attempt = Coverage(step, now, self._world.pose, home, mission.memory)
         else:
             self._attempt = Attempt(step, now, mission.goal_id)
         self.changed = True
@@ -180,6 +231,8 @@ class Runner:
 
     def _drop(self, mission: Mission, status: Status, result: str) -> None:
         """Leave the present step."""
+        if isinstance(self._attempt, Exploration | Coverage):
+            mission.memory = self._attempt.memory(self._world.now)
         mission.mark(status, result)
         mission.goal_id, mission.asking = "", False
         self._attempt = None
@@ -189,7 +242,9 @@ class Runner:
 
     def _done(self, mission: Mission, detail: str) -> None:
         self._drop(mission, Status.FINISHED, detail)
-        if mission.returning:
+        if mission.returning and self._places:
+            self._places.pop(0)
+        elif mission.returning:
             mission.end(Phase.FAILED, f"{mission.failure}; the robot is back")
         else:
             self._next(mission)
@@ -202,7 +257,12 @@ class Runner:
         step = mission.step
         self._drop(mission, Status.FAILED, why)
         where = f"step {mission.cursor.at} ({step.kind}): {why}"
-        if mission.returning:
+        if mission.returning and self._places:
+            self._places.pop(0)  # the next one is nearer to home
+        elif mission.returning and mission.tries < RETURN_TRIES:
+            mission.tries += 1
+            self._retry_at = self._world.now + RETRY_PAUSE
+        elif mission.returning:
             mission.end(Phase.FAILED, f"{mission.failure}; it did not get back: {why}")
         elif step.on_failure == OnFailure.RETRY and mission.tries < step.retries:
             mission.tries += 1
@@ -214,8 +274,13 @@ class Runner:
         else:
             mission.end(Phase.FAILED, where)
 
+    def _give_up(self, mission: Mission, why: str) -> None:
+        self._drop(mission, Status.FAILED, why)
+        self._go_home(mission, why)
+
     def _go_home(self, mission: Mission, why: str) -> None:
-        mission.returning, mission.failure = True, why
+        mission.returning, mission.failure, mission.tries = True, why, 0
+        self._until_contact, self._places = False, []
 
     # --- what others and operators do -------------------------------------------------------------------------
 

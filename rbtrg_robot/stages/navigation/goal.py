@@ -116,6 +116,8 @@ class Goal:
     risk: float = 0.0
     accept_risk: bool = False
     """It is driven however likely it fails."""
+    no_return: bool = False
+    """Nobody takes the robot home while it may be needed."""
     p_fail: float = math.nan
     """Probability that the route fails, NaN: not known."""
     worst: str = ""
@@ -127,7 +129,7 @@ class Goal:
         yaw = message.yaw if message.has_yaw else None
         known = message.id or f"request-{stamp_of(message) or now}"
         goal = cls(known, message.x, message.y, yaw, now, message.timeout, message.owner)
-        goal.accept_risk = message.accept_risk
+        goal.accept_risk, goal.no_return = message.accept_risk, message.no_return
         return goal
 
     @classmethod
@@ -140,7 +142,9 @@ class Goal:
     def from_status(cls, message: msg.GoalStatus, now: int) -> Goal:
         """As a navigator that is gone told it last."""
         yaw = message.yaw if message.has_yaw else None
-        return cls(message.id, message.x, message.y, yaw, now, owner=message.owner)
+        return cls(
+            message.id, message.x, message.y, yaw, now, owner=message.owner, no_return=message.no_return
+        )
 
     def foreign(self, owner: str) -> str:
         """Who did what its own owner should know of; empty where he did it himself."""
@@ -203,6 +207,7 @@ class Goal:
             y=self.y,
             yaw=self.yaw or 0.0,
             has_yaw=self.yaw is not None,
+            no_return=self.no_return,
             distance_left=distance_left if self.state is GoalState.MOVING else 0.0,
             replans=self.replans,
             recoveries=self.recoveries,

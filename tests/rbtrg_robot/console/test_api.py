@@ -109,6 +109,9 @@ def test_a_program_runs_missions_and_comes_home(console: Console, robot: Program
     assert [s["step"] for s in robot.call("/api/state")["mission_order"]["steps"]] == ["explore", "home"]
     assert "corners" in robot.call("/api/explore", {"area": [[0, 0], [4, 0]]})["words"]
     assert robot.call("/api/mission", {"what": "stop"})["ok"]
+    assert robot.call("/api/cover", {"area": [[0, 0], [4, 0], [4, 4]], "swath": 1.0, "back": False})["ok"]
+    assert [s["step"] for s in robot.call("/api/state")["mission_order"]["steps"]] == ["cover"]
+    assert robot.call("/api/mission", {"what": "stop"})["ok"]
     assert robot.call("/api/home", {})["ok"]
     assert math.hypot(console.robot.goals[-1].x, console.robot.goals[-1].y) < 0.1
 
@@ -211,7 +214,7 @@ def test_an_observer_may_look_and_stop(console: Console) -> None:
     robot = Program(console, "observer")
     bodies = {"/api/goal": b'{"x":1,"y":1}', "/api/ask": b'{"x":1,"y":1}', "/api/posture": b'{"what":"sit"}'}
     bodies |= {"/api/pose": b'{"x":1,"y":1,"yaw":0}', "/api/map": b'{"file":"a.npz"}'}
-    bodies |= {"/api/mission": b'{"what":"pause"}'}
+    bodies |= {"/api/mission": b'{"what":"pause"}', "/api/cover": b'{"area":[[0,0],[4,0],[4,4]]}'}
     for path in ORDERS:
         status, answer = robot.post(path, bodies.get(path, b"{}"))
         assert (status, answer["words"]) == (403, ONLY_SEE), path

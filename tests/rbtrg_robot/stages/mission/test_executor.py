@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.provenance import fingerprint
+from rbtrg_robot.stage_config import CommsConfig
 from rbtrg_robot.stages.mission.executor import MissionStage, build
 from rbtrg_robot.stages.mission.order import EVERYWHERE, Kind
 from rbtrg_robot.topics import Topic
@@ -49,9 +52,11 @@ def order(*steps: msg.MissionStep, loops: Any = (), **fields: Any) -> msg.Missio
 class World:
     """Navigator, robot and operator."""
 
-    def __init__(self, possible: frozenset[Kind] = ALL, prior_map: str = "") -> None:
-        self.possible, self.prior_map = possible, prior_map
-        self.stage = MissionStage(possible, prior_map)
+    def __init__(
+        self, possible: frozenset[Kind] = ALL, prior_map: str = "", comms: CommsConfig = CommsConfig()
+    ) -> None:
+        self.possible, self.prior_map, self.comms = possible, prior_map, comms
+        self.stage = MissionStage(possible, prior_map, 0.1, comms)
         self.now = 10**12
         self.goal = msg.GoalStatus(state="idle")
         self.navigating = True
@@ -61,13 +66,30 @@ class World:
         self.set_at = 0
         self.goals: list[float] = []
         """x of every goal the navigator took."""
-        self.robot = msg.RobotState(phase="ready")
+        self.robot = msg.RobotState(phase="ready", battery=1.0)
         self.obeys = True
         self.postures: list[str] = []
         self.kept: dict[Topic, bytes] = {}
         self.requests = 0
         self.stage.on(t.TF_STATIC, map_offset())
-        self.stage.on(t.ODOM, odometry_msg(0, (7.0, 1.0, 0.0), rpy_quaternion((0, 0, 0)), (0,) * 3, (0,) * 3))
+        self.stand(7.0, 1.0)
+
+    def stand(self, x: float, y: float) -> None:
+        self.stage.on(t.ODOM, odometry_msg(0, (x, y, 0.0), rpy_quaternion((0, 0, 0)), (0,) * 3, (0,) * 3))
+
+    def drive(self, *corners: tuple[float, float]) -> None:
+        for (x0, y0), (x1, y1) in pairwise(corners):
+            steps = round(math.dist((x0, y0), (x1, y1)) / 0.1)
+            for k in range(steps + 1):
+                self.stand(x0 + k / steps * (x1 - x0), y0 + k / steps * (y1 - y0))
+
+    def sent(self, x: float, **fields: Any) -> None:
+        """Somebody's goal is under way."""
+        self.goal = msg.GoalStatus(id=f"theirs {x}", state="moving", owner="bob", x=x, **fields)
+        self.set_at, self.drives = self.now, 1000.0
+
+    def present(self) -> None:
+        self.take(self.stage.on(t.PRESENCE, msg.Presence(owner="anna")))
 
     def take(self, outputs: list[tuple[Topic, Any]]) -> None:
         for topic, message in outputs:
@@ -125,7 +147,7 @@ class World:
 
     def restart(self) -> None:
         """The process dies and comes back with what the supervisor kept; the latched topics tell it the rest."""
-        self.stage = MissionStage(self.possible, self.prior_map)
+        self.stage = MissionStage(self.possible, self.prior_map, 0.1, self.comms)
         self.stage.on(t.TF_STATIC, map_offset())
         for topic in (t.MISSION_ORDER, t.MISSION_STATE):
             if topic in self.kept:
@@ -205,7 +227,7 @@ def test_a_way_home_that_fails_too_ends_where_it_is(world: World) -> None:
     world.ends = ("aborted", "stuck")
     world.start(goto(1.0, on_failure="return"), has_home=True, home_x=-3.0)
     world.until("failed")
-    assert world.goals == [1.0, -3.0]
+    assert world.goals == [1.0, *[-3.0] * 4], "it is tried three times more"
     assert "did not get back: the robot is stuck" in world.state.reason
 
 
@@ -341,6 +363,171 @@ def test_without_an_operator_in_contact(world: World, policy: str) -> None:
         world.drives = 0.0
         world.until("failed")
         assert world.state.reason == "no operator in contact for 2 s; the robot is back"
+
+
+@pytest.mark.parametrize("policy", ["continue", "hold", "return"])
+def test_a_goal_of_somebody_without_an_operator_in_contact(policy: Any) -> None:
+    world = World(comms=CommsConfig(timeout=3.0, on_loss=policy))
+    world.drive((0.0, 0.0), (9.0, 0.0), (9.0, 6.0))
+    world.sent(20.0)
+    world.run(2.0)
+    world.present()
+    world.run(2.5)
+    assert (world.goal.id, world.goal.state) == ("theirs 20.0", "moving")
+    world.run(2.0)
+    if policy == "continue":
+        assert (world.goal.id, world.goal.state) == ("theirs 20.0", "moving")
+        return
+    assert "no operator in contact for 3 s" in world.state.reason + world.state.failure
+    if policy == "hold":
+        assert (world.state.phase, world.state.name, world.goal.state) == (
+            "holding",
+            "goal of bob",
+            "cancelled",
+        )
+        world.present()
+        world.run(0.5)
+        assert (world.state.phase, world.goals) == ("running", [20.0])  # it goes on by itself
+        return
+    assert world.state.returning
+    world.drives = 1.0
+    world.run(2.0)
+    assert world.goals[:2] == [pytest.approx(9.0, abs=0.4), pytest.approx(7.0, abs=0.5)], "along the trail"
+    world.present()
+    world.run(0.5)
+    assert (world.state.phase, world.goal.state) == ("paused", "cancelled")
+    assert "it came back until one was" in world.state.reason
+    assert world.ask("resume") == ""
+    world.run(0.5)
+    assert world.goals[-1] == 20.0
+
+
+def test_without_contact_the_robot_comes_all_the_way_home() -> None:
+    world = World(comms=CommsConfig(timeout=3.0, on_loss="return"))
+    world.drive((0.0, 0.0), (9.0, 0.0))
+    world.sent(20.0)
+    world.run(4.0)
+    world.drives = 0.5
+    world.until("failed")
+    assert world.goals[-1] == 0.0
+    assert sorted(world.goals, reverse=True) == world.goals
+    assert "the robot is back" in world.state.reason
+    world.run(10.0)
+    assert world.goal.state == "reached"
+
+
+@pytest.mark.parametrize("what", ["home", "explore"])
+def test_a_robot_that_holds_for_an_operator_comes_home_before_the_battery_is_too_low(what: str) -> None:
+    world = World(comms=CommsConfig(timeout=3.0, on_loss="hold"))
+    world.drive((0.0, 0.0), (40.0, 0.0))
+    world.robot.battery = 0.14
+    world.run(0.3)
+    world.start(step(what), on_comms_loss="", comms_timeout=0.0)  # as the stack says
+    world.drives = 1000.0
+    world.run(5.0)
+    assert (world.state.phase, world.goal.state) == ("holding", "cancelled" if what == "home" else "idle")
+    world.robot.battery = 0.12
+    world.run(0.3)
+    world.stand(40.0, 0.0)
+    world.run(1.0)
+    assert world.state.returning
+    assert (world.goals[-1], world.goal.state) == (0.0, "moving")
+
+
+def test_a_goal_that_leads_home_is_left_alone() -> None:
+    world = World()
+    world.drive((0.0, 0.0), (40.0, 0.0))
+    world.robot.battery = 0.12
+    world.sent(0.0)
+    world.run(0.5)
+    world.stand(40.0, 0.0)
+    world.run(5.0)
+    assert world.goal.id == "theirs 0.0"
+
+
+@pytest.mark.parametrize("what", ["goal", "mission", "stands", "no return", "by hand", "stopped"])
+def test_a_battery_that_the_way_home_needs_brings_the_robot_home(what: str) -> None:
+    world = World()
+    world.drive((0.0, 0.0), (40.0, 0.0))  # 40 m at 0.05 % and a fifth more: 2.4 %, and 1 % kept beside
+    stays = what == "no return"
+    if what == "mission":
+        world.drives = 1000.0
+        world.start(goto(50.0), goto(60.0))
+    elif what != "by hand":
+        world.sent(50.0, no_return=stays)
+    world.run(0.5)
+    if what == "stands":
+        world.goal.state = "reached"
+    elif what == "stopped":
+        world.robot.estop, world.goal.state = True, "aborted"
+    world.robot.battery = 0.138
+    world.stand(40.0, 0.0)
+    world.run(1.0)
+    assert (world.state.warning == "") is True
+    before = list(world.goals)
+    for _ in range(40):
+        world.robot.battery -= 0.0002
+        world.stand(40.0, 0.0)
+        world.run(1.0)
+        if world.goals != before:
+            break
+        if world.robot.battery > 0.1345:
+            assert world.goals == before
+    if what in ("no return", "by hand", "stopped"):
+        assert world.goals == before
+        assert not world.state.warning or what == "stopped"
+        world.robot.estop = False
+        world.run(5.0)
+        assert world.goals == before, "a robot that is let go stands"
+        return
+    assert world.goals == [*before, 0.0]
+    world.set_at, world.drives = world.now, 1.0
+    world.until("finished" if what == "stands" else "failed")
+    if what != "stands":
+        assert world.state.reason.startswith("the battery (13 %) is needed for the way home of 40 m")
+        assert world.state.reason.endswith("the robot is back")
+    world.stand(0.0, 0.0)
+    world.run(20.0)
+    assert world.goals == [*before, 0.0]
+
+
+def test_the_battery_is_told_two_minutes_ahead_and_a_way_home_that_somebody_stops_is_not_begun_again() -> (
+    None
+):
+    world = World()
+    world.drive((0.0, 0.0), (40.0, 0.0))
+    world.sent(50.0)
+    world.robot.battery, first = 0.2, world.now
+    world.run(0.5)
+    while not world.goals:
+        first = world.now if not world.state.warning else first
+        world.robot.battery -= 0.0002
+        world.stand(40.0, 0.0)
+        world.run(1.0)
+    assert (
+        119.0 < (world.now - first) / NS < 240.0
+    )  # it is reckoned with a robot that drives on, and this one stands
+    assert world.ask("stop") == ""
+    world.run(30.0)
+    assert world.goals == [0.0]
+
+
+def test_an_exploration_that_was_interrupted_remembers_over_a_restart(world: World) -> None:
+    world.start(step("explore"), step("home"))
+    world.run(3.0)
+    question = world.kept[t.EXPLORE_QUESTION]
+    sequence = decode(question, msg.ExploreQuestion).sequence
+    views = msg.Viewpoints(sequence=sequence, x=array([5.0], "float64"), y=array([0.0], "float64"))
+    world.take(world.stage.on(t.VIEWPOINTS, views))
+    world.ends = ("aborted", "no_route")
+    world.run(4.0)
+    assert '"x": 5.0' in world.state.memory
+    world.ask("pause")
+    world.restart()
+    world.ask("resume")
+    world.stand(7.0, 1.0)
+    world.run(3.0)
+    assert decode(world.kept[t.EXPLORE_QUESTION], msg.ExploreQuestion).barred.tolist() == [5.0, 0.0]
 
 
 def test_a_restarted_stage_goes_on_where_it_was(world: World) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
+
+import pytest
 
 from hal.types import NS
 from rbtrg_robot import msg
@@ -22,9 +25,8 @@ class World:
         self.places, self.fails = places, fails or {}
         self.now = 10**12
         self.reserve = Reserve(0.1)
-        self.explore = Exploration(
-            msg.MissionStep(kind="explore", **step), self.now, (0.0, 0.0, 0.0), self.reserve
-        )
+        self.step = msg.MissionStep(kind="explore", **step)
+        self.explore = Exploration(self.step, self.now, (0.0, 0.0, 0.0))
         self.driven: list[Place] = []
         self.goal: msg.GoalStatus | None = None
         self.stays: set[Place] = set()
@@ -33,6 +35,8 @@ class World:
         self.edges: list[Place] = []
         self.silent = False
         self.home = 3.0
+        """[m] that the planner found, and along what was driven."""
+        self.trail = 3.0
 
     def run(self, limit: float = 600.0) -> Verdict:
         end = self.now + limit * NS
@@ -56,7 +60,8 @@ class World:
                     self.goal.state = "reached"
                     if place not in self.stays:
                         self.places.remove(place)
-            verdict = self.explore.verdict(self.now, self.goal, None)
+            way = self.explore.way_home(self.trail)
+            verdict = self.explore.verdict(self.now, self.goal, None, way, self.reserve.short(way))
             if verdict.outcome is not Outcome.RUNNING:
                 return verdict
         raise AssertionError("it did not end")
@@ -106,9 +111,10 @@ def test_every_place_left_is_told_with_its_reason() -> None:
     assert f"left 7.0 7.0 ({UNREACHABLE})" in end.detail
 
 
-def test_time_ends_it_early_enough_to_be_home() -> None:
+@pytest.mark.parametrize(("found", "driven"), [(9.0, 20.0), (20.0, 9.0), (math.inf, 9.0)])
+def test_time_ends_it_early_enough_to_be_home(found: float, driven: float) -> None:
     world = World([(float(k), 0.0) for k in range(1, 300, 3)], duration=60.0)
-    world.home = 9.0  # 30 s at the speed that is counted with
+    world.home, world.trail = found, driven  # 9 m: 30 s at the speed that is counted with
     began = world.now
     end = world.run()
     assert end.detail.startswith("the 1 minutes are over")
@@ -118,8 +124,8 @@ def test_time_ends_it_early_enough_to_be_home() -> None:
 
 def test_a_battery_that_the_way_home_needs_ends_it() -> None:
     world = World([(1.0, 0.0), (5.0, 0.0)])
-    world.home = 60.0
-    world.reserve.take(0.12, (0.0, 0.0, 0.0))
+    world.home, world.trail = math.inf, 60.0  # where the planner finds no way the one that was driven counts
+    world.reserve.take(0.12, (0.0, 0.0, 0.0), world.now)
     end = world.run()
     assert end.outcome is Outcome.DONE
     assert end.detail.startswith("the battery (12 %) is needed for the way home of 60 m")
@@ -132,6 +138,20 @@ def test_coverage_of_an_area_ends_it() -> None:
     end = world.run()
     assert end.detail.startswith("90 % of the area are seen")
     assert len(world.driven) in (2, 3)
+
+
+def test_a_try_that_was_interrupted_goes_on_with_what_it_knew() -> None:
+    world = World([(1.0, 0.0), (5.0, 0.0)], {(1.0, 0.0): 9}, duration=600.0)
+    with pytest.raises(AssertionError, match="did not end"):
+        world.run(3.0)
+    assert world.driven[0] == (1.0, 0.0)
+    memory = world.explore.memory(world.now)
+    assert json.loads(memory)["spent"] == pytest.approx(3.0, abs=0.2)
+    world.explore = Exploration(world.step, world.now, (0.0, 0.0, 0.0), memory)
+    end = world.run()
+    assert world.driven.count((1.0, 0.0)) == 2, "given up before, and tried once more before the end"
+    assert "left 1.0 0.0" in end.detail
+    assert json.loads(world.explore.memory(world.now))["places"] == 1
 
 
 def test_a_planner_that_is_silent_asks_for_an_operator() -> None:

@@ -15,7 +15,7 @@ from numba import njit
 from hal.go2w import HIP_Y, THIGH_Y, TREAD_Y
 from planning.graph.faces import BASE
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
-from planning.graph.prices import SIZE_STEP, SIZES, angle_at, size_at
+from planning.graph.prices import LONGEST_TREAD, SIZE_STEP, SIZES, angle_at, size_at, tread_at
 
 AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
 """Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
@@ -23,8 +23,11 @@ LEAST_FACE = 0.03
 """Lower faces [m] are noise of the map."""
 HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
 """Higher ones [m] are walls, which a move stays off."""
-BEYOND = 0.30
-"""A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole."""
+BEYOND = 0.50
+"""A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole, and the tread
+beyond it."""
+MOST_CROSSED = 16
+"""Faces on one wheel's track that are told apart."""
 EVEN_TAN = math.tan(math.radians(5.0))
 """Slopes below [m/m] are noise of the map."""
 NO_SIGN, UP, DOWN = 0, 1, 2
@@ -64,13 +67,14 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
     n = math.ceil(d / step)
     out[:] = 0.0
     highest_post = 0
+    crossed = np.empty((MOST_CROSSED, 4))  # middle, sign, height [m], angle to the normal [rad]
     in_field = samples = 0
     for wheel in range(4):
         ahead = AXLE if wheel < 2 else -AXLE
         aside = TREAD if wheel % 2 == 0 else -TREAD
         xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
         sign, begin, low, high, first = NO_SIGN, 0, 0.0, 0.0, 0.0
-        hole = 0
+        hole = found = 0
         for k in range(-beyond, n + beyond + 2):
             c = math.floor((xw + k * step * ux - x0) / res + 0.5)
             r = math.floor((yw + k * step * uy - y0) / res + 0.5)
@@ -92,9 +96,13 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
                     z = float(height[r, c])
             if now != sign:
                 middle = (begin + k - 1) // 2
-                if sign != NO_SIGN and 0 <= middle < n:
+                if sign != NO_SIGN and found < MOST_CROSSED:
                     size = high - first if sign == UP else first - low
-                    _cross(faces, x0, y0, res, prices, xw, yw, ux, uy, step, middle, size, sign, out)
+                    size, angle = _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size)
+                    if LEAST_FACE <= size <= HIGHEST_FACE:
+                        crossed[found, 0], crossed[found, 1] = middle, sign
+                        crossed[found, 2], crossed[found, 3] = size, angle
+                        found += 1
                 sign, begin, low, high, first = now, k, z, z, z
             elif now != NO_SIGN:
                 low, high = min(low, z), max(high, z)
@@ -105,25 +113,48 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
                 if 0 <= middle < n:
                     out += prices.gap[size_at((hole - 1) * step)]
                 hole = 0
+        _cross(prices, crossed[:found], step, n, out)
     if in_field:
         out += prices.posts[size_at(0.001 * highest_post)] * d * in_field / samples
     _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out)
 
 
 @njit(cache=True)
-def _cross(faces, x0, y0, res, prices, xw, yw, ux, uy, step, middle, size, sign, out):
-    """Add what one wheel's crossing of a face costs, `size` [m] high by the ground under the track."""
+def _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size):
+    """Height [m] of the face that a wheel crosses there, where the ground under its track rises or falls by `size` [m],
+    and the angle [rad] between its way and the face's normal. A height of 0: the place is off the map."""
+    rows, cols, _ = faces.shape
     c = math.floor((xw + middle * step * ux - x0) / res + 0.5)
     r = math.floor((yw + middle * step * uy - y0) / res + 0.5)
+    if not (0 <= r < rows and 0 <= c < cols):
+        return 0.0, 0.0
     size = min(size, 0.001 * max(abs(faces[r, c, 0]), abs(faces[r, c, 1])))
-    if size < LEAST_FACE or size > HIGHEST_FACE:
-        return
     nx, ny = face_normal(faces, res, r, c)
-    i, j = size_at(size), angle_at(math.acos(min(abs(nx * ux + ny * uy), 1.0)))
-    there = 0 if sign == UP else 1
-    for back in range(2):
-        out[0, back] += prices.face[there, back, i, j]
-        out[1, back] += prices.face[1 - there, back, i, j]
+    return size, math.acos(min(abs(nx * ux + ny * uy), 1.0))
+
+
+@njit(cache=True)
+def _cross(prices, crossed, step, n, out):
+    """Add what one wheel's crossings cost whose middle lies in the move."""
+    for k in range(len(crossed)):
+        middle, sign, size, angle = crossed[k]
+        if not 0 <= middle < n:
+            continue
+        tread, beside = 0.0, 0  # a face is told to a cell or two: the mean of the treads on both sides
+        for other in (k - 1, k + 1):
+            if 0 <= other < len(crossed) and crossed[other, 1] == sign:
+                apart = abs(crossed[other, 0] - middle) * step
+                if apart <= LONGEST_TREAD:
+                    tread, beside = tread + apart, beside + 1
+        i, j = size_at(size), angle_at(angle)
+        there = 0 if sign == UP else 1
+        for way in range(2):  # there and back
+            up_or_down = there if way == 0 else 1 - there
+            if beside:
+                out[way, 0] += prices.stairs[up_or_down, i, tread_at(tread / beside * math.cos(angle)), j]
+            else:
+                out[way, 0] += prices.face[up_or_down, 0, i, j]
+            out[way, 1] += prices.face[up_or_down, 1, i, j]
 
 
 @njit(cache=True)

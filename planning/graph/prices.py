@@ -28,6 +28,10 @@ MAP_SIGMA = 0.01
 """Standard deviation of a face on the map [m]."""
 SIZE_STEP, SIZES = 0.01, 36
 """Heights and widths of the tables [m]: 0 to 0.35, beyond which nothing was tried."""
+TREAD_STEP, LEAST_TREAD, TREADS = 0.05, 0.20, 4
+"""Depths of treads of the tables [m]: 0.20 to 0.35, deeper ones are no easier."""
+LONGEST_TREAD = 0.45
+"""Faces up, or down, that are so far apart [m] at most are stairs."""
 ANGLE_STEP, ANGLES = math.radians(5.0), 37
 """Angles of the tables [rad]: 0 to 180 deg."""
 POSTS_SPEED = 0.5
@@ -40,6 +44,8 @@ class Prices(NamedTuple):
     face: Array
     """(2, 2, sizes, angles) [m] of one wheel that crosses a face: up or down, driven forward or backward, by the face's
     height and the angle between travel and its normal."""
+    stairs: Array
+    """(2, sizes, treads, angles) [m] of one wheel that crosses a riser of stairs driven forward, up or down."""
     slope: Array
     """(angles, angles) [m/m] by steepness and the angle between travel and uphill."""
     turn: Array
@@ -54,6 +60,7 @@ def free() -> Prices:
     """Where nothing has a price: the paper's cost."""
     return Prices(
         np.zeros((2, 2, SIZES, ANGLES)),
+        np.zeros((2, SIZES, TREADS, ANGLES)),
         np.zeros((ANGLES, ANGLES)),
         np.zeros((2, SIZES, ANGLES)),
         np.zeros(SIZES),
@@ -85,13 +92,15 @@ def prices_of(controller: str | None, fall_cost: float) -> Prices:
     for way, name in enumerate(("up", "down")):
         for back, prefix in enumerate(("", "back_")):
             out.face[way, back] = 0.25 * price(prefix + name, MAP_SIGMA, size[:, None], across, 0.0)
+        riser, tread, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREADS), across)
+        out.stairs[way] = 0.25 * price(f"stairs_{name}", MAP_SIGMA, riser, tread, askew)
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)
     for k, name in enumerate(("bend", "spin")):
         out.turn[k] = price(name, MAP_SIGMA, size[:, None], steep, 1.0)
     out.posts[:] = price("posts", MAP_SIGMA, size, POSTS_SPEED)
     out.gap[:] = 0.25 * price("gap", MAP_SIGMA, size)
     # No height is no face, whatever the map's noise makes of it.
-    out.face[:, :, 0], out.posts[0], out.gap[0] = 0.0, 0.0, 0.0
+    out.face[:, :, 0], out.stairs[:, 0], out.posts[0], out.gap[0] = 0.0, 0.0, 0.0, 0.0
     return out
 
 
@@ -129,3 +138,9 @@ def size_at(size: float) -> int:
 def angle_at(angle: float) -> int:
     """Column of a table for an angle [rad] from -pi to pi."""
     return min(int(abs(angle) / ANGLE_STEP + 0.5), ANGLES - 1)
+
+
+@njit(cache=True)
+def tread_at(tread: float) -> int:
+    """Column of a table for the depth of a tread [m]."""
+    return min(max(int((tread - LEAST_TREAD) / TREAD_STEP + 0.5), 0), TREADS - 1)

@@ -25,7 +25,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.edge_price import AXLE, HIGHEST_FACE, LEAST_FACE, TREAD
 from planning.graph.flags import FIELD, HOLE
-from planning.graph.prices import ending, hazards
+from planning.graph.prices import LONGEST_TREAD, ending, hazards
 from planning.risk.pose_sets import turn_angle
 from planning.risk.turns import BEND
 
@@ -35,8 +35,6 @@ SPACING, SWEEP = 0.02, math.radians(5.0)
 """Of the poses along a move [m] and in a turn [rad]."""
 SLOPE_SPACING = 0.10
 """Of the poses at which the slope of the ground is told [m]."""
-STAIRS, LONGEST_TREAD = 3, 0.45
-"""So many faces up or down, each so far from the one before [m], are stairs."""
 BESIDE = 0.10
 """Farthest from the wheels that an edge lies beside them [m], as in the trials."""
 EDGE = 10
@@ -272,7 +270,7 @@ class Drive:
                 (a, before, *_), (b, height, *_) = crossed[k - 1], crossed[k]
                 if before * height > 0.0 and math.hypot(x[b] - x[a], y[b] - y[a]) <= LONGEST_TREAD:
                     continue
-            if k - begin >= STAIRS:
+            if k - begin > 1:
                 a, b = crossed[begin][0], crossed[k - 1][0]
                 depth = math.hypot(x[b] - x[a], y[b] - y[a]) / (k - 1 - begin)
                 for c in range(begin, k):

@@ -10,7 +10,7 @@ import pytest
 from planning.graph.edge_price import AXLE, BEYOND, EVEN_TAN, HIGHEST_FACE, LEAST_FACE, TREAD, edge_price
 from planning.graph.faces import update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
-from planning.graph.prices import angle_at, prices_of, size_at
+from planning.graph.prices import LONGEST_TREAD, angle_at, prices_of, size_at, tread_at
 
 RES = 0.04
 PRICES = prices_of("hybrid", 100.0)
@@ -55,6 +55,19 @@ def test_a_kerb_costs_one_crossing_at_its_angle_in_however_many_moves(degrees: i
     parts = sum(price(z, (a, 2.0), (b, 2.0)) for a, b in pairwise(x))
     np.testing.assert_allclose(parts, whole, rtol=0.35, atol=0.02)
     np.testing.assert_allclose(price(z, (3.7, 2.0), (1.3, 2.0)), whole[::-1], rtol=0.35, atol=0.02)
+
+
+@pytest.mark.parametrize("tread", [0.26, 0.30, 0.36])
+def test_faces_that_follow_each_other_are_stairs(tread: float) -> None:
+    _, x = np.mgrid[0:100, 0:125] * RES
+    steps = (0.15 * np.clip(np.floor((x - 1.6) / tread) + 1, 0, 5)).astype(np.float32)
+    whole = price(steps, (0.7, 2.0), (4.3, 2.0))
+    share = 4.0 * 5.0 * PRICES.stairs[:, size_at(0.15), tread_at(tread), 0]
+    np.testing.assert_allclose(whole[:, 0], share, rtol=0.35)
+    assert whole[0, 0] > 3.0 * 20.0 * PRICES.face[0, 0, size_at(0.15), 0], "harder than so many single faces"
+    x = np.linspace(0.7, 4.3, 8)
+    parts = sum(price(steps, (a, 2.0), (b, 2.0)) for a, b in pairwise(x))
+    np.testing.assert_allclose(parts, whole, rtol=0.3, atol=0.02)
 
 
 def test_what_nobody_saw_is_not_told_and_low_faces_are_noise() -> None:
@@ -113,10 +126,9 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
         samples += within.sum()
         fields += in_field.sum()
         posts = max(posts, big[in_field & (big <= 1000 * HIGHEST_FACE)].max(initial=0))
+        crossed = []
         for i, j in runs(sign):
             m = (k[i] + k[j]) // 2 + beyond
-            if not within[m]:
-                continue
             part = height[i : j + 1]
             rise = part.max() - part[0] if sign[i] > 0 else part[0] - part.min()
             size = min(rise, 0.001 * big[m])
@@ -126,8 +138,19 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
             near = near[(near @ f[m] > 0.0) & (np.abs(near).max(axis=1) <= 1000 * HIGHEST_FACE)]
             normal = near.sum(axis=0)
             angle = np.arccos(min(abs(normal @ u) / np.hypot(*normal), 1.0))
-            both = PRICES.face[:, :, size_at(size), angle_at(angle)]
-            out += both if sign[i] > 0 else both[::-1]
+            crossed.append((m, sign[i], size_at(size), angle))
+        for m, way, size, angle in crossed:
+            if not within[m]:
+                continue
+            both = PRICES.face[:, :, size, angle_at(angle)].copy()
+            at = [other for other, *_ in crossed].index(m)
+            near = [crossed[o] for o in (at - 1, at + 1) if 0 <= o < len(crossed)]
+            treads = [abs(m - other) * step for other, like, *_ in near if like == way]
+            treads = [tread for tread in treads if tread <= LONGEST_TREAD]
+            if treads:
+                tread = np.mean(treads) * np.cos(angle)
+                both[:, 0] = PRICES.stairs[:, size, tread_at(tread), angle_at(angle)]
+            out += both if way > 0 else both[::-1]
         for i, j in runs((flag & HOLE > 0).astype(float)):
             if within[j - (j - i) // 2]:
                 out += PRICES.gap[size_at((j - i) * step)]

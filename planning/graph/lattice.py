@@ -16,7 +16,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.blind import assume_blind
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
-from planning.graph.edge_price import BEYOND
+from planning.graph.edge_price import AXLE, BEYOND, TREAD
 from planning.graph.edges import MARGIN, SECTION, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
@@ -139,7 +139,7 @@ class Lattice:
         rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
         connect(
             grid.height, cells.flags, cells.faces, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where, OFFSETS,
-            REACH * self.side, moved, boxes, self._around, rank, p.length, p.width, math.tan(p.max_slope),
+            REACH * self.side, moved, boxes, self._beside, rank, p.length, p.width, math.tan(p.max_slope),
             p.max_gap, p.min_coverage, F32(p.robot_size), self.prices, cells.risk, cells.price, cells.edge_revision,
             version,
         )  # fmt: skip
@@ -162,12 +162,14 @@ class Lattice:
 
     @property
     def _around(self) -> float:
-        """[m] from a node or an edge's end within which terrain matters to it."""
+        """[m] from a node within which terrain matters to it."""
         p = self.params
-        return (
-            max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, 0.5 * p.length + BEYOND, p.robot_size)
-            + self.cells.res
-        )
+        return max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, p.robot_size) + self.cells.res
+
+    @property
+    def _beside(self) -> float:
+        """[m] from an edge's end within which terrain matters to it: the wheels' tracks are looked at before and after it."""
+        return max(self._around, math.hypot(AXLE + BEYOND, TREAD) + self.cells.res)
 
 
 def _axes(grid: ElevationGrid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

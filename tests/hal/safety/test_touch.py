@@ -156,7 +156,7 @@ def test_what_the_legs_throw_at_a_face_that_is_climbed_is_no_touch_and_what_hold
     thrown = [-14.0, 96.0, 143.0, -2.0, 100.0, 104.0, -5.0]
     assert pushed(thrown, 0.0) == [Touch(1.0, 0.0)]
     assert pushed(thrown, 0.193) == []
-    held = [-14.0, *[100.0] * 12]
+    held = [-14.0, *[100.0] * 14]
     assert pushed(held, 0.193) == [Touch(1.0, 0.0)], "within 0.3 s"
 
 

@@ -24,7 +24,7 @@ from rbtrg_robot.importer.run import convert_bag, look
 from rbtrg_robot.log.read import read_run
 from rbtrg_robot.log.trajectory import of_run
 from rbtrg_robot.wire.messages import decode
-from tools.bench.outside import foreign
+from tools.bench.outside import files, foreign
 from tools.bench.report import Report
 
 SCANS = 20
@@ -50,6 +50,9 @@ def run(args: list[str]) -> Report:
                 f"container.{kind}",
                 partial(_three, bag, folder / f"{kind}_run"),
             )
+        for kind, cases in (("file", files.CASES), ("log", files.LOGS)):
+            for name, check in cases.items():
+                _holds(report, f"{kind}.{name}", partial(check, folder))
         _drive(report, folder)
         _refusals(report, folder)
         if options.data is not None:

@@ -125,6 +125,8 @@ def test_a_page_leads_it_and_asks_why_not_there(address: str) -> None:
         until(page, "document.querySelector('#lead-said').textContent.includes('after /')")
         page.fill("#lead-to", "2.5")
         page.click("#lead-form button")
+        said = "document.querySelector('#lead-said').textContent"
+        until(page, f"parseFloat({said}) > 2.4 && !{said}.includes('running')", 60.0)
         until(page, "document.querySelector('#lead-inside').textContent.includes('malformed')", 60.0)
         until(page, "consoleView.ground.tiles.size > 10 && document.body.dataset.fresh === 'live'")
         page.select_option("#lead-stage", "planner")

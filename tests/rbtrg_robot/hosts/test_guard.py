@@ -58,7 +58,7 @@ def test_what_steps_behind_a_reversing_robot_is_not_touched() -> None:
         gap = truth(stack)[0] - 0.35 - near[0][1]
         assert 0.25 < gap < 0.7, "behind its tail, and further than it takes to brake"
         assert speed(stack) > 0.3
-        assert by_hand(stack, 2.5, -0.4, near=near) > 0.0
+        assert by_hand(stack, 4.0, -0.4, near=near) > 0.0
         assert speed(stack) < 0.05
         for _ in range(8):  # it creeps up to the last centimetre
             if "behind" in stack.newest[t.ROBOT_STATE].hold:

@@ -155,8 +155,8 @@ def test_list_of_runs_and_report(
     clean(here("log", "list", str(log.parent)).stdout)
     monkeypatch.setattr(doctor, "examine", lambda _port: [])
     monkeypatch.setattr("rbtrg_robot.process.report.examine", lambda _port: [])
-    ended = here("report", str(log / "nowhere"), "--out", str(tmp_path / f"{FILE}.tar.gz"))
-    clean(ended.stdout)
+    clean(here("report", str(log / "nowhere"), "--out", str(tmp_path / "r.tar.gz")).stderr)
+    clean(here("report", str(log), "--out", str(tmp_path / f"{FILE}.tar.gz")).stdout)
 
 
 def test_missions(here: Here, stack: Stack, tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ def _fresh(console: Console, robot: Program) -> None:
     assert console.serve is not None
     until(lambda: console.serve.desk.stop_state["state"] != "sending")  # type: ignore[union-attr]
     until(lambda: console.serve.feed.known().get("goal", {}).get("state") == "idle")  # type: ignore[union-attr]
+    until(lambda: console.serve.feed.located)  # type: ignore[union-attr]
     robot.call("/api/take_over", {})
 
 
@@ -77,7 +78,7 @@ def test_what_is_served_is_described(console: Console, robot: Program) -> None:
 
 def test_a_program_sends_the_robot_and_stops_it(console: Console, robot: Program) -> None:
     plan = robot.call("/api/ask", {"x": 2.0, "y": 0.0})
-    assert plan["ok"]
+    assert plan["ok"], plan["words"]
     assert plan["found"]["length"] == pytest.approx(2.0, abs=0.1)
     said = robot.call("/api/goal", {"x": 2.0, "y": 0.0, "name": "there"})
     assert (said["ok"], said["words"]) == (True, "goal moving")

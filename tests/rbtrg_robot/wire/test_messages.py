@@ -52,10 +52,10 @@ def test_hashes_are_those_of_ros() -> None:
 
 
 def test_topic_names_are_unique_and_owned_by_processes() -> None:
-    from rbtrg_robot.processes import BY_NAME
+    from rbtrg_robot.processes import BY_NAME, SUPERVISOR
 
     assert len({t.name for t in topics.TOPICS}) == len(topics.TOPICS)
-    assert {t.owner for t in topics.TOPICS} - {""} <= set(BY_NAME)
+    assert {t.owner for t in topics.TOPICS} - {""} <= {*BY_NAME, SUPERVISOR, topics.STACK}
 
 
 def test_what_moves_a_robot_is_never_safe_to_replay() -> None:

@@ -228,11 +228,12 @@ def _supervise(config: StackConfig, zygote: Zygote) -> int:
 
 def _detach() -> None:
     """The same command line without --detach, in a session of its own."""
-    from rbtrg_robot.process.runfiles import NotRunning, state_of
     from rbtrg_robot.run_folder import run_dir
 
     arguments = [a for a in sys.argv[1:] if a != "--detach"]
     output = run_dir() / f"up-{os.getpid()}.log"
+    for name in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(name, lambda number, _frame: sys.exit(128 + number))
     with output.open("wb") as file:
         child = subprocess.Popen(
             [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
@@ -241,6 +242,18 @@ def _detach() -> None:
             stderr=file,
             start_new_session=True,
         )
+    ready = False
+    try:
+        ready = _wait_ready(child, output)
+    finally:
+        if not ready:  # also where somebody ends this command
+            child.terminate()
+
+
+def _wait_ready(child: subprocess.Popen[bytes], output: Path) -> bool:
+    """Pass on what the stack says until it is ready. Raises typer.Exit where it ends or takes too long."""
+    from rbtrg_robot.process.runfiles import NotRunning, state_of
+
     began, told = time.monotonic(), 0
     while time.monotonic() - began < DETACH_LIMIT:
         code = child.poll()
@@ -255,14 +268,13 @@ def _detach() -> None:
                 name = "" if state["robot"] == ROBOT else f" --robot {state['robot']}"
                 say(f"running with pid {child.pid}; stop it with `rbtrg-robot down{name}`")
                 output.unlink()
-                return
+                return True
         except NotRunning:
             pass
         try:
             child.wait(0.1)
         except subprocess.TimeoutExpired:
             continue
-    child.terminate()
     say(f"rbtrg-robot: not ready after {DETACH_LIMIT:.0f} s, see {output}", error=True)
     raise typer.Exit(1)
 

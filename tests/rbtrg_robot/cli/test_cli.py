@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
 import re
+import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 import yaml
 from rich.console import Console
@@ -291,6 +295,35 @@ def test_detached_it_waits_for_the_robot_it_started_wherever_that_is_named(tmp_p
     finally:
         down = run("down", "--robot", "alpha", tmp_path=tmp_path)
     assert down.returncode == 0, down.stderr
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGTERM])
+def test_a_stack_that_is_not_ready_yet_ends_with_the_command_that_began_it(
+    tmp_path: Path, ended_by: signal.Signals
+) -> None:
+    arguments = ["up", "--detach", "--scene", "flat", "--no-record", "--port", str(free_port())]
+    begun = subprocess.Popen(
+        [sys.executable, "-m", "rbtrg_robot.cli", *arguments, "--log-dir", str(tmp_path / "logs")],
+        env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    caller = psutil.Process(begun.pid)
+    children: list[psutil.Process] = []
+    try:
+        deadline = time.monotonic() + 60.0
+        while not children and time.monotonic() < deadline and begun.poll() is None:
+            children = caller.children()
+            time.sleep(0.02)
+        assert children, "it began a stack"
+        begun.send_signal(ended_by)
+        assert begun.wait(20.0) != 0
+        _, left = psutil.wait_procs(children, timeout=20.0)
+        assert not left
+    finally:
+        for process in (caller, *children):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.kill()
 
 
 def test_a_disk_that_takes_no_configuration_keeps_no_robot_from_starting(

@@ -30,12 +30,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The runtime folder of a stack. Nothing is left running."""
     tmp_path = tmp_path_factory.mktemp("run")
     words = ("--scene", "flat", "--port", str(free_port()), "--console-port", "0", "--no-record", *SPARSE)
-    up = command(
-        tmp_path,
-        *("up", "--detach", "--robot", NAME, "--without", "mission", *words),
-        *("--log-dir", str(tmp_path / "logs")),
-    )
     try:
+        up = command(
+            tmp_path,
+            *("up", "--detach", "--robot", NAME, "--without", "mission", *words),
+            *("--log-dir", str(tmp_path / "logs")),
+        )
         assert up.returncode == 0, up.stderr
         assert re.search(r"^console: http://127\.0\.0\.1:\d+/enter\?token=\S+$", up.stdout, re.MULTILINE), (
             up.stdout

@@ -21,6 +21,8 @@ TOUCHED = 6
 """`source` of what the robot touched and no ray tells of; in read-outs only."""
 HOLE = 7
 """`source` of holes wider than the robot crosses; in read-outs only."""
+SOURCES = ("unknown", "wheels", "LiDAR", "bridged", "assumed", "ground under leaves", "touched", "a hole")
+"""In words, by `source`."""
 LARGEST = 50_000_000
 """Cells of one patch: 280 m x 280 m of 4 cm, 1 GB."""
 

@@ -234,6 +234,16 @@ class TraversalGraph:
         keep = source < self.indices
         return np.stack([source[keep], self.indices[keep].astype(np.int64)], axis=1)
 
+    def costs(self, sigma: float, *, back: bool = False) -> NDArray[np.float64]:
+        """(nnz,) [m] of each edge without the body's risk, driven forward: l (1 + sigma r) and its price; `back`: of the
+        same edge from its target to its source."""
+        source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
+        length = np.hypot(*(self.nodes[source, :2] - self.nodes[self.indices, :2]).T)
+        price = self.price[:, 0]
+        if back:
+            price = price[np.lexsort((source, self.indices))]  # slot of the opposite direction of each slot
+        return length * (1.0 + sigma * self.risk) + price
+
     def nearest_node(self, xy: tuple[float, float], max_distance: float = SNAP_DISTANCE) -> int | None:
         """Index of the node nearest to x, y [m] (lowest index on a tie), None if farther than `max_distance`."""
         x, y = float(xy[0]), float(xy[1])

@@ -235,7 +235,10 @@ def _gives_way(at: Endpoints, found: Plan, other: Plan) -> bool:
         return not worth_keeping(found.worth, other.worth)
     w = weights_of(at.table.body)
     price = w.native * VIRTUAL_RISK + w.unknown
-    free = sum(max(t.cost - price * t.length * t.unknown, t.length + t.turn_cost) for t in found.transitions)
+    free = sum(
+        max(t.cost - price * t.length * t.unknown, t.length + t.turn_cost + t.price)
+        for t in found.transitions
+    )
     return free > TWICE * other.worth
 
 

@@ -77,14 +77,15 @@ def through_virtual(
 ) -> NDArray[np.float64]:
     """(n,) least way [m] from each node over the graph to one of `ends` (n,) and from there `to_go` (n,) [m]; inf where none is reached.
 
-    Virtual ground outside of stepfields counts as free, as what lies beyond a frontier does, other ground with its risk at `price`.
+    Virtual ground outside of stepfields counts as free, as what lies beyond a frontier does, other ground with its risk at
+    `price` and what it crosses.
     """
     flags = flags_at(graph, graph.nodes)
     hidden = flags & (VIRTUAL | FIELD) == VIRTUAL
     source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
     length = np.hypot(*(graph.nodes[source, :2] - graph.nodes[graph.indices, :2]).T)
     free = hidden[source] | hidden[graph.indices]
-    cost = length * np.where(free, 1.0, 1.0 + price * graph.risk)
+    cost = np.where(free, length, graph.costs(price, back=True))  # asked from the ends on
     return least_way(graph.indptr, graph.indices.astype(np.int64), cost, np.where(ends, to_go, np.inf))
 
 

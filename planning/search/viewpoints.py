@@ -87,19 +87,18 @@ def viewpoints(graph: TraversalGraph, grid: ElevationGrid, survey: Survey, sigma
     (`TraversalGraph.cells`)."""
     assert graph.cells is not None
     nodes = graph.nodes
-    edge = np.repeat(np.arange(len(nodes)), np.diff(graph.indptr))
-    length = np.hypot(*(nodes[edge, :2] - nodes[graph.indices, :2]).T)
-    cost = length * (1.0 + sigma * graph.risk)
+    away, homeward = graph.costs(sigma), graph.costs(sigma, back=True)
     targets = graph.indices.astype(np.int64)
 
-    def ways(place: tuple[float, float]) -> Array:
-        """(n,) cost from the node nearest to a place to each node; infinite where none is near."""
-        away = np.hypot(*(nodes[:, :2] - place).T)
+    def ways(place: tuple[float, float], cost: Array = away) -> Array:
+        """(n,) cost from the node nearest to a place to each node, or with `homeward` from each to it; infinite where
+        none is near."""
+        apart = np.hypot(*(nodes[:, :2] - place).T)
         first = np.full(len(nodes), np.inf)
-        near = int(away.argmin())
-        if away[near] > BESIDE:
+        near = int(apart.argmin())
+        if apart[near] > BESIDE:
             return first
-        first[near] = away[near]
+        first[near] = apart[near]
         return np.asarray(least_way(graph.indptr, targets, cost, first))
 
     sight = Sight.of(graph, grid, survey.area)
@@ -111,7 +110,7 @@ def viewpoints(graph: TraversalGraph, grid: ElevationGrid, survey: Survey, sigma
     between = np.array([ways((nodes[k, 0], nodes[k, 1]))[chosen] for k in chosen]).reshape(
         len(chosen), len(chosen)
     )
-    back = np.zeros(len(nodes)) if survey.home is None else ways(survey.home)
+    back = np.zeros(len(nodes)) if survey.home is None else ways(survey.home, homeward)
     home = math.nan if survey.home is None else float(way[_nearest(nodes, survey.home)])
     to_home = np.where(np.isfinite(back[chosen]), back[chosen], 0.0)
     kept = _same(nodes[chosen, :2], survey.target)

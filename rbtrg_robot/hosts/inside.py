@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from mapping.elevation.exchange import SOURCES
 from planning.risk.body import weights_of
 from planning.risk.cost import transition_cost
 from rbtrg_robot import msg
@@ -117,9 +118,6 @@ def place(stage: Stage, x: float, y: float) -> list[Row]:
     return []
 
 
-SOURCE = ("unknown", "wheels", "LiDAR", "bridged", "assumed", "ground under leaves", "touched")
-
-
 def _cell(stage: ElevationStage, x: float, y: float) -> list[Row]:
     patch = stage.map.window(x, y, stage.map.params.resolution)
     row, col = (round((v - o) / patch.resolution) for v, o in zip((y, x), patch.origin[::-1], strict=True))
@@ -127,7 +125,7 @@ def _cell(stage: ElevationStage, x: float, y: float) -> list[Row]:
     rows: list[Row] = [("cell", f"({x:.2f}, {y:.2f}), {patch.resolution:g} m")]
     for name, value in found.items():
         if name == "source":
-            rows.append((name, SOURCE[int(value)]))
+            rows.append((name, SOURCES[int(value)]))
         elif name == "variance":
             rows.append(
                 ("standard deviation", f"{1000 * math.sqrt(value):.1f} mm" if value >= 0 else "unknown")
@@ -161,11 +159,13 @@ def _edges(stage: PlannerStage, x: float, y: float) -> list[Row]:
         tx, ty, _ = graph.nodes[graph.indices[slot]].tolist()
         length, risk = float(arcs.length[slot]), float(graph.risk[slot])
         body, unknown = known[slot].tolist()
-        price = float(transition_cost(w, length, risk, body, unknown))
+        crossed = float(arcs.price[slot, 0])
+        price = float(transition_cost(w, length, risk, body, unknown)) + crossed
         rows.append(
             (
                 f"edge to ({tx:.2f}, {ty:.2f})",
-                f"price {price:.2f} m: length {length:.2f} m, native risk {risk:.2f}, body {body:.2f}, unknown {unknown:.2f}",
+                f"price {price:.2f} m: length {length:.2f} m, native risk {risk:.2f}, body {body:.2f}, "
+                f"unknown {unknown:.2f}, crossings {crossed:.2f} m",
             )
         )
     return rows

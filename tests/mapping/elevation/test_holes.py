@@ -15,7 +15,7 @@ from hal.lidar.caster import NumbaCaster, Surface
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import HOLE_WIDTH, taken_out
 from hal.types import MountedLidar
-from mapping.elevation.exchange import HOLE
+from mapping.elevation.exchange import HOLE, SOURCES
 from mapping.elevation.holes import REACH, SHALLOW, Crossing, mark_holes, widths
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.sensor import Sensor
@@ -162,3 +162,7 @@ def test_a_robot_that_comes_along_is_told_in_time(width: float, angle: float) ->
 def test_a_crack_that_the_robot_crosses_is_none(angle: float) -> None:
     (elevation,) = approach(0.1, math.radians(angle), 0.1)
     assert rows_marked(elevation) == 0
+
+
+def test_each_source_has_a_name() -> None:
+    assert len(SOURCES) == HOLE + 1

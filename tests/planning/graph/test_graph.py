@@ -111,3 +111,17 @@ def test_edges_in_a_place_to_avoid_are_left_out_and_the_rest_stays_as_it_is() ->
 def test_from_edges_refuses_arrays_that_do_not_fit(nodes, edges, risk, words) -> None:
     with pytest.raises(PlanningError, match=words):
         TraversalGraph.from_edges(nodes, edges, risk)
+
+
+def test_an_edge_costs_its_length_its_risk_and_its_price_and_back_what_the_other_way_costs() -> None:
+    graph = TraversalGraph.from_edges(NODES, EDGES, RISK)
+    graph.price = np.random.default_rng(0).random(graph.price.shape).astype(np.float32)
+    slots = {}
+    for i in range(len(NODES)):
+        for slot in range(graph.indptr[i], graph.indptr[i + 1]):
+            slots[i, int(graph.indices[slot])] = slot
+    there, back = graph.costs(3.0), graph.costs(3.0, back=True)
+    for (i, k), slot in slots.items():
+        length = float(np.hypot(*(NODES[k, :2] - NODES[i, :2])))
+        assert there[slot] == pytest.approx(length * (1 + 3 * graph.risk[slot]) + graph.price[slot, 0])
+        assert back[slot] == pytest.approx(there[slots[k, i]])

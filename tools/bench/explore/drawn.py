@@ -160,7 +160,7 @@ def path(
     """Nodes of the cheapest way, and the goal where it is within a step of its node; empty where there is none."""
     nodes = graph.nodes
     edge = np.repeat(np.arange(len(nodes)), np.diff(graph.indptr))
-    cost = np.hypot(*(nodes[edge, :2] - nodes[graph.indices, :2]).T) * (1.0 + sigma * graph.risk)
+    cost = graph.costs(sigma)
     first = np.full(len(nodes), np.inf)
     begin, end = (int(np.hypot(*(nodes[:, :2] - p).T).argmin()) for p in (start, goal))
     first[begin] = 0.0

@@ -26,8 +26,8 @@ HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
 BEYOND = 0.50
 """A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole, and the tread
 beyond it."""
-MOST_CROSSED = 16
-"""Faces on one wheel's track that are told apart."""
+SHORTEST = 0.06
+"""A wheel meets no more than one face, and no more than one gap, each so many [m]."""
 EVEN_TAN = math.tan(math.radians(5.0))
 """Slopes below [m/m] are noise of the map."""
 NO_SIGN, UP, DOWN = 0, 1, 2
@@ -54,68 +54,119 @@ def face_normal(faces, res, r, c):
 
 
 @njit(cache=True)
-def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
-    """Write the prices [m] of the straight move from a to b into `out` (2, 2): there and back, driven forward and backward.
+def room_for(d):
+    """Rows that `wheel_track` needs for a move of `d` [m]."""
+    return 2 + int((d + 2.0 * BEYOND) / SHORTEST)
 
-    `faces` [mm] as of `planning.graph.faces`; coordinates in m, `map`.
+
+@njit(cache=True)
+def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps):
+    """What a wheel crosses that goes straight from xw, yw [m] along the unit vector ux, uy for `d` [m].
+
+    Into `crossed` (k, 4): place along the track [m], height of the face [m] (negative: down), angle between way and normal
+    [rad], depth of the tread [m] (0: no stairs); into `gaps` (k, 2): place along the track and width [m]. Both have
+    `room_for` rows and hold what has its middle in the move.
+    Returns how many there are of each, the share of the track in a stepfield, and the height of its highest post [m].
     """
     rows, cols = height.shape
-    d = math.hypot(xb - xa, yb - ya)
-    ux, uy = (xb - xa) / d, (yb - ya) / d
     step = 0.5 * res
     beyond = int(BEYOND / step)
     n = math.ceil(d / step)
-    out[:] = 0.0
+    sign, begin, low, high, first = NO_SIGN, 0, 0.0, 0.0, 0.0
     highest_post = 0
-    crossed = np.empty((MOST_CROSSED, 4))  # middle, sign, height [m], angle to the normal [rad]
-    in_field = samples = 0
+    in_field = hole = found = holes = 0
+    for k in range(-beyond, n + beyond + 2):
+        c = math.floor((xw + k * step * ux - x0) / res + 0.5)
+        r = math.floor((yw + k * step * uy - y0) / res + 0.5)
+        now, over, z = NO_SIGN, False, 0.0
+        if 0 <= r < rows and 0 <= c < cols and k <= n + beyond:
+            flag = flags[r, c]
+            big = max(abs(faces[r, c, 0]), abs(faces[r, c, 1]))
+            over = flag & HOLE > 0
+            if 0 <= k < n and flag & FIELD:
+                in_field += 1
+                if big <= 1000.0 * HIGHEST_FACE:
+                    highest_post = max(highest_post, big)
+            if big >= 1000.0 * LEAST_FACE and not flag & (FIELD | HOLE | UNSEEN | VIRTUAL):
+                rise = faces[r, c, 0] * ux + faces[r, c, 1] * uy
+                now = UP if rise > 0.0 else (DOWN if rise < 0.0 else NO_SIGN)
+                z = float(height[r, c])
+        if now != sign:
+            if sign != NO_SIGN and found < len(crossed):
+                middle = (begin + k - 1) // 2
+                size = high - first if sign == UP else first - low
+                size, angle = _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size)
+                if LEAST_FACE <= size <= HIGHEST_FACE:
+                    crossed[found, 0] = middle
+                    crossed[found, 1] = size if sign == UP else -size
+                    crossed[found, 2] = angle
+                    found += 1
+            sign, begin, low, high, first = now, k, z, z, z
+        elif now != NO_SIGN:
+            low, high = min(low, z), max(high, z)
+        if over:
+            hole += 1
+        elif hole > 0:
+            middle = k - 1 - (hole - 1) // 2
+            if 0 <= middle < n and holes < len(gaps):
+                gaps[holes, 0], gaps[holes, 1] = middle * step, (hole - 1) * step
+                holes += 1
+            hole = 0
+    return _in_move(crossed, found, step, n), holes, in_field / n, 0.001 * highest_post
+
+
+@njit(cache=True)
+def _in_move(crossed, found, step, n):
+    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move; how many."""
+    for k in range(found):
+        tread, beside = 0.0, 0  # a face is told to a cell or two: the mean of the treads on both sides
+        for other in (k - 1, k + 1):
+            if 0 <= other < found and crossed[other, 1] * crossed[k, 1] > 0.0:
+                apart = abs(crossed[other, 0] - crossed[k, 0]) * step
+                if apart <= LONGEST_TREAD:
+                    tread, beside = tread + apart, beside + 1
+        crossed[k, 3] = tread / beside * math.cos(crossed[k, 2]) if beside else 0.0
+    kept = 0
+    for k in range(found):
+        if 0 <= crossed[k, 0] < n:
+            crossed[kept] = crossed[k]
+            crossed[kept, 0] *= step
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
+    """Write the prices [m] of the straight move from a to b into `out` (2, 2): there and back, driven forward and
+    backward. `faces` [mm] as of `planning.graph.faces`; coordinates in m, `map`."""
+    d = math.hypot(xb - xa, yb - ya)
+    ux, uy = (xb - xa) / d, (yb - ya) / d
+    crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))
+    out[:] = 0.0
+    share = posts = 0.0
     for wheel in range(4):
         ahead = AXLE if wheel < 2 else -AXLE
         aside = TREAD if wheel % 2 == 0 else -TREAD
         xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
-        sign, begin, low, high, first = NO_SIGN, 0, 0.0, 0.0, 0.0
-        hole = found = 0
-        for k in range(-beyond, n + beyond + 2):
-            c = math.floor((xw + k * step * ux - x0) / res + 0.5)
-            r = math.floor((yw + k * step * uy - y0) / res + 0.5)
-            inside = 0 <= r < rows and 0 <= c < cols and k <= n + beyond
-            now, over, z = NO_SIGN, False, 0.0
-            if inside:
-                flag = flags[r, c]
-                big = max(abs(faces[r, c, 0]), abs(faces[r, c, 1]))
-                over = flag & HOLE > 0
-                if 0 <= k < n:
-                    samples += 1
-                    if flag & FIELD:
-                        in_field += 1
-                        if big <= 1000.0 * HIGHEST_FACE:
-                            highest_post = max(highest_post, big)
-                if big >= 1000.0 * LEAST_FACE and not flag & (FIELD | HOLE | UNSEEN | VIRTUAL):
-                    rise = faces[r, c, 0] * ux + faces[r, c, 1] * uy
-                    now = UP if rise > 0.0 else (DOWN if rise < 0.0 else NO_SIGN)
-                    z = float(height[r, c])
-            if now != sign:
-                middle = (begin + k - 1) // 2
-                if sign != NO_SIGN and found < MOST_CROSSED:
-                    size = high - first if sign == UP else first - low
-                    size, angle = _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size)
-                    if LEAST_FACE <= size <= HIGHEST_FACE:
-                        crossed[found, 0], crossed[found, 1] = middle, sign
-                        crossed[found, 2], crossed[found, 3] = size, angle
-                        found += 1
-                sign, begin, low, high, first = now, k, z, z, z
-            elif now != NO_SIGN:
-                low, high = min(low, z), max(high, z)
-            if over:
-                hole += 1
-            elif hole > 0:
-                middle = k - 1 - (hole - 1) // 2
-                if 0 <= middle < n:
-                    out += prices.gap[size_at((hole - 1) * step)]
-                hole = 0
-        _cross(prices, crossed[:found], step, n, out)
-    if in_field:
-        out += prices.posts[size_at(0.001 * highest_post)] * d * in_field / samples
+        found, holes, field, post = wheel_track(
+            height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps
+        )
+        for k in range(found):
+            size, angle, tread = crossed[k, 1], crossed[k, 2], crossed[k, 3]
+            i, j = size_at(size), angle_at(angle)
+            for way in range(2):  # there and back
+                down = (size < 0.0) != (way == 1)
+                up_or_down = 1 if down else 0
+                if tread > 0.0:
+                    out[way, 0] += prices.stairs[up_or_down, i, tread_at(tread), j]
+                else:
+                    out[way, 0] += prices.face[up_or_down, 0, i, j]
+                out[way, 1] += prices.face[up_or_down, 1, i, j]
+        for k in range(holes):
+            out += prices.gap[size_at(gaps[k, 1])]
+        share += 0.25 * field
+        posts = max(posts, post)
+    out += prices.posts[size_at(posts)] * d * share
     _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out)
 
 
@@ -131,30 +182,6 @@ def _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size):
     size = min(size, 0.001 * max(abs(faces[r, c, 0]), abs(faces[r, c, 1])))
     nx, ny = face_normal(faces, res, r, c)
     return size, math.acos(min(abs(nx * ux + ny * uy), 1.0))
-
-
-@njit(cache=True)
-def _cross(prices, crossed, step, n, out):
-    """Add what one wheel's crossings cost whose middle lies in the move."""
-    for k in range(len(crossed)):
-        middle, sign, size, angle = crossed[k]
-        if not 0 <= middle < n:
-            continue
-        tread, beside = 0.0, 0  # a face is told to a cell or two: the mean of the treads on both sides
-        for other in (k - 1, k + 1):
-            if 0 <= other < len(crossed) and crossed[other, 1] == sign:
-                apart = abs(crossed[other, 0] - middle) * step
-                if apart <= LONGEST_TREAD:
-                    tread, beside = tread + apart, beside + 1
-        i, j = size_at(size), angle_at(angle)
-        there = 0 if sign == UP else 1
-        for way in range(2):  # there and back
-            up_or_down = there if way == 0 else 1 - there
-            if beside:
-                out[way, 0] += prices.stairs[up_or_down, i, tread_at(tread / beside * math.cos(angle)), j]
-            else:
-                out[way, 0] += prices.face[up_or_down, 0, i, j]
-            out[way, 1] += prices.face[up_or_down, 1, i, j]
 
 
 @njit(cache=True)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +24,18 @@ from hal.envelope import Envelope
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
-from planning.graph.edge_price import AXLE, HIGHEST_FACE, LEAST_FACE, TREAD
-from planning.graph.flags import FIELD, HOLE
-from planning.graph.prices import LONGEST_TREAD, ending, hazards
+from planning.graph.edge_price import AXLE, HIGHEST_FACE, LEAST_FACE, TREAD, room_for, wheel_track
+from planning.graph.flags import FIELD
+from planning.graph.prices import ending, hazards
 from planning.risk.pose_sets import turn_angle
-from planning.risk.turns import BEND
+from planning.risk.turns import ASKEW, BEND
 
 Array = NDArray[np.float64]
 
 SPACING, SWEEP = 0.02, math.radians(5.0)
 """Of the poses along a move [m] and in a turn [rad]."""
+FOOT = 0.10
+"""Foot and top of a face lie so far [m] before and behind its middle."""
 SLOPE_SPACING = 0.10
 """Of the poses at which the slope of the ground is told [m]."""
 BESIDE = 0.10
@@ -116,9 +119,6 @@ class Drive:
 
     def __init__(self, envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way) -> None:
         self._envelope, self._grid, self._cells, self._way = envelope, grid, cells, way
-        drawn = envelope.drawn.get("yaw", ("rad", 0.0, 0.0))
-        self._askew = max(-drawn[1], drawn[2])
-        """Straight crossings were tried up to so much off their heading [rad]: a bend counts beyond it."""
         self._share = {name: ending(table) for name, table in envelope.manoeuvres.items()}
         reach = max(1, round(0.06 / grid.resolution))
         self._reach = reach
@@ -188,7 +188,7 @@ class Drive:
     # --- what may go wrong ------------------------------------------------------------------------------------
     def parts(self) -> Iterator[Part]:
         """All that may go wrong."""
-        yield from self._faces()
+        yield from self._crossings()
         yield from self._slope_and_posts()
         yield from self._turns()
 
@@ -197,93 +197,56 @@ class Drive:
             return np.zeros(np.broadcast_shapes(*(np.shape(v) for v in values)))
         return hazards(self._envelope, name, sigma, *values, share=self._share[name])
 
-    def _faces(self) -> Iterator[Part]:
-        for wheel in WHEELS:
-            yield from self._wheel(wheel[None])
-
-    def _wheel(self, wheel: Array) -> Iterator[Part]:
-        """Faces and gaps that one wheel crosses, in moves: what it meets in a turn is the turn's."""
-        grid, cells = self._grid, self._cells
-        x, y = (v[:, 0] for v in self._under(self._pose, wheel))
-        row, col = self._at(x, y)
-        face = 0.001 * cells.faces[row, col].astype(np.float64)
-        flags = cells.flags[row, col]
-        moves = self._turn == 0.0
-        yaw = self._pose[:, 2] + np.pi * self._way.back[self._move]
-        ux, uy = np.cos(yaw), np.sin(yaw)
-        up = face[:, 0] * ux + face[:, 1] * uy
-        sign = np.where(
-            moves & (flags & (FIELD | HOLE) == 0) & (np.abs(face).max(axis=1) >= LEAST_FACE), np.sign(up), 0.0
-        )
-        yield from self._gaps(moves & (flags & HOLE != 0), x, y)
-        crossed: list[tuple[int, float, float, float]] = []
-        for i, j in _runs(sign):
-            z = grid.height[row[i : j + 1], col[i : j + 1]]
-            rise = float(z.max() - z[0]) if sign[i] > 0 else float(z[0] - z.min())
-            k = (i + j) // 2
-            height = min(rise, float(np.abs(face[k]).max()))  # the highest of many cells would be their noise
-            if not LEAST_FACE <= height <= HIGHEST_FACE:
+    def _crossings(self) -> Iterator[Part]:
+        """Faces and gaps that the wheels cross in moves: what they meet in a turn is the turn's."""
+        grid, cells, way = self._grid, self._cells, self._way
+        ground = grid.height, cells.flags, cells.faces, *grid.origin, grid.resolution
+        for move, (a, b) in enumerate(pairwise(way.xy)):
+            d = float(np.hypot(*(b - a)))
+            if d == 0.0:
                 continue
-            nx, ny = self._normal(int(row[k]), int(col[k]), face[k])
-            angle = math.acos(min(abs(nx * ux[k] + ny * uy[k]), 1.0))
-            sigma = 0.0
-            if grid.variance is not None:
-                low, high = (int(np.argmin(z)) + i, int(np.argmax(z)) + i)
-                both = grid.variance[[row[low], row[high]], [col[low], col[high]]]
-                sigma = math.sqrt(float(np.nansum(both)))
-            crossed.append((k, height * float(sign[i]), angle, sigma))
-        slopes = np.hypot(*self._slopes(self._pose[[c[0] for c in crossed]]).T) if crossed else []
-        treads = self._treads(crossed, x, y)
-        for (k, height, angle, sigma), tread, slope in zip(crossed, treads, slopes, strict=True):
-            back, size = bool(self._way.back[self._move[k]]), abs(height)
-            way = "up" if height > 0.0 else "down"
-            if tread and not back:
-                h = self._hazard(f"stairs_{way}", size, min(tread, 0.35), angle, sigma=sigma)
-                what = f"{way} stairs of {size:.2f} m"
-            else:
-                h = self._hazard(
-                    f"{'back_' if back else ''}{way}", size, angle, math.atan(float(slope)), sigma=sigma
-                )
-                what = f"{way} a {size:.2f} m face" + (" backward" if back else "")
-            if angle > math.radians(20.0):
-                what += f" at {math.degrees(angle):.0f} deg to its normal"
-            yield Part(int(self._move[k]), 0.25 * float(h), what, float(x[k]), float(y[k]))
+            u, back = (b - a) / d, bool(way.back[move])
+            aside = np.array([-u[1], u[0]])
+            crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))
+            for wheel in WHEELS:
+                w = a + wheel[0] * u + wheel[1] * aside
+                found, holes, _, _ = wheel_track(*ground, *w, *u, d, crossed, gaps)
+                for at, size, angle, tread in crossed[:found].tolist():
+                    body, place = a + at * u, w + at * u
+                    h, what = self._face(body, w, u, at, size, angle, 0.0 if back else tread, back)
+                    yield Part(move, 0.25 * h, what, *place.tolist())
+                for at, width in gaps[:holes].tolist():
+                    h = float(self._hazard("gap", width))
+                    yield Part(move, 0.25 * h, f"over a {width:.2f} m gap", *(w + at * u).tolist())
 
-    def _normal(self, row: int, col: int, face: Array) -> tuple[float, float]:
-        """Of the face there: one cell tells it to 45 deg, those around it that rise the same way to 2 deg."""
-        n = round(0.12 / self._grid.resolution)
-        around = self._cells.faces[max(0, row - n) : row + n + 1, max(0, col - n) : col + n + 1].reshape(
-            -1, 2
-        )
-        around = around[(around @ face > 0.0) & (np.abs(around).max(axis=1) <= 1000.0 * HIGHEST_FACE)]
-        x, y = around.sum(axis=0, dtype=np.float64)
-        size = math.hypot(x, y)
-        return (x / size, y / size) if size else (1.0, 0.0)
-
-    @staticmethod
-    def _treads(crossed: list[tuple[int, float, float, float]], x: Array, y: Array) -> list[float]:
-        """Depth [m] of the tread at each of these faces that is one of stairs; 0 for others."""
-        out = [0.0] * len(crossed)
-        begin = 0
-        for k in range(1, len(crossed) + 1):
-            if k < len(crossed):
-                (a, before, *_), (b, height, *_) = crossed[k - 1], crossed[k]
-                if before * height > 0.0 and math.hypot(x[b] - x[a], y[b] - y[a]) <= LONGEST_TREAD:
-                    continue
-            if k - begin > 1:
-                a, b = crossed[begin][0], crossed[k - 1][0]
-                depth = math.hypot(x[b] - x[a], y[b] - y[a]) / (k - 1 - begin)
-                for c in range(begin, k):
-                    out[c] = depth * math.cos(crossed[c][2])
-            begin = k
-        return out
-
-    def _gaps(self, over: NDArray[np.bool_], x: Array, y: Array) -> Iterator[Part]:
-        for i, j in _runs(over.astype(np.float64)):
-            width = math.hypot(x[j] - x[i], y[j] - y[i])
-            h = 0.25 * float(self._hazard("gap", width))
-            k = (i + j) // 2
-            yield Part(int(self._move[k]), h, f"over a {width:.2f} m gap", float(x[k]), float(y[k]))
+    def _face(
+        self,
+        body: Array,
+        wheel: Array,
+        u: Array,
+        at: float,
+        size: float,
+        angle: float,
+        tread: float,
+        back: bool,
+    ) -> tuple[float, str]:
+        """Hazard of a crossing by all wheels, and what it is in words. `body`: where it is then; the wheel goes from `wheel`
+        along `u` and crosses a face `size` [m] high after `at` [m], `angle` [rad] to its normal."""
+        slope = math.atan(float(np.hypot(*self._slopes(np.array([[*body, math.atan2(u[1], u[0])]]))[0])))
+        sigma = 0.0
+        if self._grid.variance is not None:
+            x, y = (wheel + np.array([[at - FOOT], [at + FOOT]]) * u).T
+            sigma = math.sqrt(float(np.nansum(self._grid.variance[self._at(x, y)])))
+        way, height = "up" if size > 0.0 else "down", abs(size)
+        if tread > 0.0:
+            h = self._hazard(f"stairs_{way}", height, min(tread, 0.35), angle, sigma=sigma)
+            what = f"{way} stairs of {height:.2f} m"
+        else:
+            h = self._hazard(f"{'back_' if back else ''}{way}", height, angle, slope, sigma=sigma)
+            what = f"{way} a {height:.2f} m face" + (" backward" if back else "")
+        if angle > math.radians(20.0):
+            what += f" at {math.degrees(angle):.0f} deg to its normal"
+        return float(h), what
 
     def _slope_and_posts(self) -> Iterator[Part]:
         """What each stretch of a move costs, `SLOPE_SPACING` long."""
@@ -344,7 +307,7 @@ class Drive:
                 self._hazard(name, astride, slope, 1.0), self._hazard(name, beside, slope, 0.0)
             ) * np.abs(turn)
             if name == "bend":
-                h = h * np.maximum(1.0 - self._askew / sizes[number], 0.0)
+                h = h * np.maximum(1.0 - ASKEW / sizes[number], 0.0)
             for k in np.flatnonzero(those & (h > 1e-6)):
                 size = math.degrees(sizes[number[k]])
                 edge = max(astride[k], beside[k])
@@ -361,11 +324,3 @@ class Drive:
                     f"a turn of {size:.0f} deg {where}",
                     *pose[k, :2].tolist(),
                 )
-
-
-def _runs(values: Array) -> Iterator[tuple[int, int]]:
-    """First and last index of each stretch of the same value that is not 0."""
-    ends = np.flatnonzero(np.diff(values, prepend=0.0, append=0.0))
-    for i, j in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-        if values[i] != 0.0:
-            yield i, j - 1

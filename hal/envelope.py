@@ -373,8 +373,8 @@ CENTIMETRE, DEGREE = 0.01, math.radians(1.0)
 def limits(envelope: Envelope) -> dict[str, float]:
     """Limits by the names of `Capabilities`: the largest of each size with `ROUTINE_RISK` at most, and a way.
 
-    Steps are met head-on on level ground; `max_slope` holds in every direction; `max_posts` is for the fastest drive that
-    was tried. `step_vx` is the slowest at which such posts fail no more than twice as often; zero where each does.
+    Steps are met head-on on level ground; `max_slope` holds in every direction; `max_posts` is for the fastest drive
+    that was tried. `step_vx` is the slowest at which such posts fail no more than twice as often; zero where each does.
     """
 
     def largest(names: tuple[str, ...], step: float, *rest: Array | float) -> float:

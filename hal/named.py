@@ -17,8 +17,8 @@ class NamedError(OperatorError):
 
 
 def named(name: str, what: str, group: str, own: tuple[str, ...] = ()) -> Any:
-    """The function or class of a name. `what` it is, in words; `group` of entry points; `own`: names of ours that need no module.
-    Raises NamedError."""
+    """The function or class of a name. `what` it is, in words; `group` of entry points; `own`: names of ours that need
+    no module. Raises NamedError."""
     target = name
     if ":" not in name:
         known = {point.name: point.value for point in entry_points(group=group)}

@@ -1,7 +1,8 @@
 """The one reader of .npz and .npy files from somebody else: what an array takes is known, and allowed, before anything
 is unpacked.
 
-`numpy.load` unpacks what an archive says, up to a thousand times its size, and its parser of headers raises whatever it trips over.
+`numpy.load` unpacks what an archive says, up to a thousand times its size, and its parser of headers raises whatever it
+trips over.
 """
 
 from __future__ import annotations

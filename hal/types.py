@@ -35,11 +35,12 @@ POINT_DTYPE = np.dtype(
         ("time", "<f4"),
     ]
 )
-"""One LiDAR return: x, y, z [m] in the LiDAR's own frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`."""
+"""One LiDAR return: x, y, z [m] in the LiDAR's own frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`.
+"""
 
 POINT_QUANTUM = 2.0**-8
-"""x, y, z are multiples of this [m]: an error of 1.1 mm (1 sigma) beside a sensor noise of 10 to 20 mm. Noise does not compress: finer
-values would only make logs larger."""
+"""x, y, z are multiples of this [m]: an error of 1.1 mm (1 sigma) beside a sensor noise of 10 to 20 mm. Noise does not
+compress: finer values would only make logs larger."""
 TIME_QUANTUM = 2.0**-14
 """`time` is a multiple of this [s]: at 10 m and 1 rad/s at most 0.3 mm of deskewing."""
 
@@ -191,7 +192,8 @@ class MountedLidar:
 
 
 FELT_EDGE = "cliff: an edge"
-"""With this and "ahead" or "behind" the cause of a robot's state begins while its wheels feel an edge that goes down."""
+"""With this and "ahead" or "behind" the cause of a robot's state begins while its wheels feel an edge that goes down.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,11 +211,14 @@ class Capabilities:
     max_alpha: float = 3.0
     """[rad/s^2] slew of the commanded yaw rate."""
     min_vx: float = 0.2
-    """[m/s] slowest speed of which at least half is driven, forward and backward. The default is a guess on the safe side."""
+    """[m/s] slowest speed of which at least half is driven, forward and backward. The default is a guess on the safe
+    side."""
     step_vx: float = 0.0
-    """[m/s] slowest speed at which uneven ground with faces up to `max_step` is passed: slower, wheels stall on it; 0: any."""
+    """[m/s] slowest speed at which uneven ground with faces up to `max_step` is passed: slower, wheels stall on it; 0:
+    any."""
     min_wz: float = 0.3
-    """[rad/s] slowest turn on the spot of which at least half is turned, to both sides. The default is such a guess, too."""
+    """[rad/s] slowest turn on the spot of which at least half is turned, to both sides. The default is such a guess,
+    too."""
     max_step: float = 0.10
     """Highest vertical face driven over [m]."""
     max_slope: float = 0.436
@@ -223,10 +228,12 @@ class Capabilities:
     max_trunk_tilt: float = 0.0
     """Roll and pitch [rad] to which the trunk tilts by command while the robot stands; 0: it cannot."""
     max_posts: float = 0.05
-    """Highest posts of a stepfield driven through [m] (`tools.bench envelope`, rows `posts_*`): faces on all sides of all wheels are harder
-    than one face of `max_step`. The default is that of the model-based controller, the smallest that was measured."""
+    """Highest posts of a stepfield driven through [m] (`tools.bench envelope`, rows `posts_*`): faces on all sides of
+    all wheels are harder than one face of `max_step`. The default is that of the model-based controller, the smallest
+    that was measured."""
     creep: float = 0.0
-    """[m/s] speed up to which the wheels feel edges that go down, and the robot backs off by itself (`FELT_EDGE`); 0: they feel none."""
+    """[m/s] speed up to which the wheels feel edges that go down, and the robot backs off by itself (`FELT_EDGE`); 0:
+    they feel none."""
     strafe: bool = False
     lidars: tuple[MountedLidar, ...] = ()
     """What is there; at most one of each name."""

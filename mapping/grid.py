@@ -19,7 +19,8 @@ class GridError(ValueError):
 class ElevationGrid:
     """A dense height grid in the `map` frame.
 
-    Row grows with y, column with x; cell [r, c] is centred on `(origin[0] + c * resolution, origin[1] + r * resolution)`.
+    Row grows with y, column with x; cell [r, c] is centred on `(origin[0] + c * resolution, origin[1] + r *
+    resolution)`.
     """
 
     height: NDArray[np.float32]
@@ -31,8 +32,8 @@ class ElevationGrid:
     resolution: float
     """Cell size [m]."""
     virtual: NDArray[np.bool_] | None = None
-    """(rows, cols) bool; nobody measured the cell, but a ray passed so low over it that only ground can lie there: `height` is the
-    best case, from where the ground may fall. None: no such cell."""
+    """(rows, cols) bool; nobody measured the cell, but a ray passed so low over it that only ground can lie there:
+    `height` is the best case, from where the ground may fall. None: no such cell."""
 
     plants: NDArray[np.bool_] | None = None
     """(rows, cols) bool; the cell is ground under leaves: nobody saw what stands in them. None: no such cell."""
@@ -41,7 +42,8 @@ class ElevationGrid:
     """(rows, cols) float32 [m^2] of `height`; NaN where it was not measured. None: not known."""
 
     holes: NDArray[np.bool_] | None = None
-    """(rows, cols) bool; the cell shows a hole wider than the robot crosses, whatever its height tells. None: no such cell."""
+    """(rows, cols) bool; the cell shows a hole wider than the robot crosses, whatever its height tells. None: no such
+    cell."""
 
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, dtype=np.float32)
@@ -86,7 +88,8 @@ class ElevationGrid:
         return x0, y0, x0 + (cols - 1) * self.resolution, y0 + (rows - 1) * self.resolution
 
     def around(self, xy: NDArray[np.float64], margin: float) -> ElevationGrid:
-        """The part that holds every cell within `margin` [m] of the bounding box of the points (n, 2); at least one cell."""
+        """The part that holds every cell within `margin` [m] of the bounding box of the points (n, 2); at least one
+        cell."""
         reach = np.array([margin, margin])
         low = (xy.min(axis=0) - reach - self.origin) / self.resolution
         high = (xy.max(axis=0) + reach - self.origin) / self.resolution

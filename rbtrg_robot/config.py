@@ -267,8 +267,8 @@ class StackConfig(BaseModel):
         return stored(self.controller if self.simulated else SPORT)
 
     def graph_params(self) -> GraphParams:
-        """Settings of the graph; its limits are the robot's own, or tighter. Where a LiDAR in the head sees the ground at the feet,
-        none around the start is taken for granted.
+        """Settings of the graph; its limits are the robot's own, or tighter. Where a LiDAR in the head sees the ground
+        at the feet, none around the start is taken for granted.
         """
         params = self.graph.params(self.capabilities(), self.controller if self.simulated else SPORT)
         head = any(lidar.name == "head" for lidar in self.lidars)
@@ -350,7 +350,8 @@ def load(
 
 
 def of_log(attached: bytes) -> tuple[dict[str, Any], list[str]]:
-    """The configuration a log was made with, and its keys that this version does not have, left out of it. Raises ConfigError."""
+    """The configuration a log was made with, and its keys that this version does not have, left out of it. Raises
+    ConfigError."""
     try:
         values: dict[str, Any] = yaml_file.parse(attached) or {}
     except YamlError as error:

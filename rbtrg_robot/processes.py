@@ -18,7 +18,8 @@ class Process:
     period: float
     """Seconds of the source clock between two ticks."""
     hang: float
-    """A process that has not beaten for this long [s] hangs and is killed. Longer where one step on a large map takes long."""
+    """A process that has not beaten for this long [s] hangs and is killed. Longer where one step on a large map takes
+    long."""
     farewell: float
     """[s] it has to end when told to, before it is killed. A real robot stops and lies down in this time."""
     stops_motion: bool

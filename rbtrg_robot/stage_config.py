@@ -93,15 +93,15 @@ class GraphConfig(GraphSettings):
 
 
 FAR = 2.4
-"""[m] the guard looks ahead of the body. A LiDAR sees the ground below an edge only far behind the edge: one on the back whose lowest beam
-goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
+"""[m] the guard looks ahead of the body. A LiDAR sees the ground below an edge only far behind the edge: one on the
+back whose lowest beam goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
 
 
 class GuardConfig(BaseModel):
     """Distances and times at which the guard slows the robot down.
 
-    Bounds: `reaction` is a sweep, a tick of the guard and a period of the gate at least (0.17 s); the simulated robot brakes with 3 m/s^2,
-    the vendor's is not measured; the map errs by 0.02 m at an edge.
+    Bounds: `reaction` is a sweep, a tick of the guard and a period of the gate at least (0.17 s); the simulated robot
+    brakes with 3 m/s^2, the vendor's is not measured; the map errs by 0.02 m at an edge.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

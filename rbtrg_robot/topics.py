@@ -68,7 +68,8 @@ class Topic(Generic[M]):
     """The recorder leaves most out, and adds those of before a stop or a refusal late: gaps and an odd order in a log
     are no loss."""
     shared: bool = False
-    """ROS tools publish it as well, such as robot_state_publisher or drivers: what they say is left out without a word."""
+    """ROS tools publish it as well, such as robot_state_publisher or drivers: what they say is left out without a word.
+    """
 
     @property
     def type(self) -> str:

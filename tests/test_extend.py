@@ -1,4 +1,5 @@
-"""`docs/extend.md`: the planner that it shows plans, drives, and stands in the study; its controller drives, its finder finds."""
+"""`docs/extend.md`: the planner that it shows plans, drives, and stands in the study; its controller drives, its finder
+finds."""
 
 from __future__ import annotations
 

@@ -78,9 +78,9 @@ EXCEPT = {
     "hal/unitree/low/process.py": {"subprocess"},
     "hal/mujoco/view/render.py": {"subprocess"},
 }
-"""A robot that keeps the last velocity for a second can only be stopped by somebody who outlives its driver; and whether EGL works can
-only be tried in a process that is thrown away. A robot that balances by our commands needs a loop that waits for
-nobody."""
+"""A robot that keeps the last velocity for a second can only be stopped by somebody who outlives its driver; and
+whether EGL works can only be tried in a process that is thrown away. A robot that balances by our commands needs a loop
+that waits for nobody."""
 
 
 def module_of(file: Path) -> str:

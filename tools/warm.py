@@ -1,4 +1,5 @@
-"""Compile every kernel of the stack and leave it in numba's cache: one process per part, as many at once as there are cores.
+"""Compile every kernel of the stack and leave it in numba's cache: one process per part, as many at once as there are
+cores.
 
     python -m tools.warm
 

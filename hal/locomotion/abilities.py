@@ -1,4 +1,5 @@
-"""What a Go2-W can do with each controller of ours, in simulation and at the motors of the real robot: rates and limits."""
+"""What a Go2-W can do with each controller of ours, in simulation and at the motors of the real robot: rates and
+limits."""
 
 from __future__ import annotations
 
@@ -37,8 +38,8 @@ _RATES: dict[Controller, Capabilities] = {
         creep=0.1,
     ),
 }
-"""Speeds and rates; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`. The policy knows no posture: its trunk cannot be
-tilted. The hybrid controller has the slow speeds and the tilt of the model-based one."""
+"""Speeds and rates; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`. The policy knows no posture:
+its trunk cannot be tilted. The hybrid controller has the slow speeds and the tilt of the model-based one."""
 
 KEPT: dict[Controller, dict[str, float]] = {
     "vmc": {
@@ -62,8 +63,9 @@ KEPT: dict[Controller, dict[str, float]] = {
         "step_vx": 0.5,
     },
 }
-"""Limits, each as it was before there was an envelope: the planner's rules were tuned to them, and lanes are graded by them. The measured
-ones (`hal.envelope.limits`) stand beside them in docs/simulated_robot.md. One is read off when the planner prices what it limits."""
+"""Limits, each as it was before there was an envelope: the planner's rules were tuned to them, and lanes are graded by
+them. The measured ones (`hal.envelope.limits`) stand beside them in docs/simulated_robot.md. One is read off when the
+planner prices what it limits."""
 
 ABILITIES: dict[Controller, Capabilities] = {
     name: replace(rates, **KEPT[name])  # type: ignore[arg-type]

@@ -83,7 +83,8 @@ class Monitor:
     """The test that was seen to fail without it, below `tests/`."""
 
     def outside(self, value: float, low: float | None = None, high: float | None = None) -> bool:
-        """Whether `value` is beyond what is allowed; what is no number is. `low`, `high`: limits from the configuration.
+        """Whether `value` is beyond what is allowed; what is no number is. `low`, `high`: limits from the
+        configuration.
 
         Never where the monitor was taken out, see `taken_out`.
         """
@@ -124,7 +125,8 @@ _OUT: set[str] = set()
 
 @contextmanager
 def taken_out(*names: str) -> Iterator[None]:
-    """Without these monitors, in this process. For `tools.bench faults --without` and its tests. Raises KeyError for an unknown name."""
+    """Without these monitors, in this process. For `tools.bench faults --without` and its tests. Raises KeyError for an
+    unknown name."""
     for name in names:
         BY_NAME[name]
     _OUT.update(names)

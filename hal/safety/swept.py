@@ -1,10 +1,12 @@
 """How far the body can go before it meets what it cannot drive over: forward, backward, turning left and right.
 
-Every point of the body's rim that leads a motion draws a track over the height map. It begins on the ground that the robot
-stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that are missing it
-may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins behind the last
-ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
-be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle.
+Every point of the body's rim that leads a motion draws a track over the height map. It begins on the ground that the
+robot stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that
+are missing it may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins
+behind the last ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the
+wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may be
+as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows
+what lies between. What lies under the body now, a kerb or an edge, is no obstacle.
 """
 
 from __future__ import annotations
@@ -24,22 +26,26 @@ from hal.types import Array, Capabilities
 SPACING = 0.02
 """[m] between tracks and between the samples of one: half a cell of the map."""
 BEFORE = 8
-"""Samples of a track under the body, for the height it begins with: more than a gap spans, so that a gap under the front has its rim on the track."""
+"""Samples of a track under the body, for the height it begins with: more than a gap spans, so that a gap under the
+front has its rim on the track."""
 WITHIN = 4
 """Samples over which a face may spread: two cells of the map."""
 NOISE = 0.04
-"""[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise."""
+"""[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise.
+"""
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
 POINTS = 3
 """Returns in one cell that count as something there."""
 
 WHEELS, LIDAR, PLANTS, TOUCHED, HOLE = 1, 2, 5, 6, 7
-"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, touched by the body,
-a hole that is measured from rim to rim and wider than the robot crosses (then the height counts for nothing); else filled in between."""
+"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under
+leaves, touched by the body, a hole that is measured from rim to rim and wider than the robot crosses (then the height
+counts for nothing); else filled in between."""
 
 CLEAR, FACE, DROP, SWEEP, UNSEEN, GAP = 0, 1, 2, 3, 4, 5
-"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw, a hole that is too wide."""
+"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground
+nobody saw, a hole that is too wide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +103,8 @@ BODY = Body(BODY_LENGTH / 2, BODY_LENGTH / 2, BODY_WIDTH / 2, BODY_WIDTH / 2)
 
 
 def straight_tracks(reach: float, sign: float, body: Body = BODY) -> Array:
-    """(tracks, samples, 2) x, y [m] in base_link of the end of `body`, a part of the body, that leads; `sign` 1.0 forward, -1.0 backward."""
+    """(tracks, samples, 2) x, y [m] in base_link of the end of `body`, a part of the body, that leads; `sign` 1.0
+    forward, -1.0 backward."""
     across = _spaced(-BODY_WIDTH / 2, BODY_WIDTH / 2)
     rim = body.clipped(np.column_stack([np.full_like(across, sign * BODY_LENGTH / 2), across]))
     ahead = sign * SPACING * np.arange(-BEFORE, math.ceil(reach / SPACING) + 1)
@@ -105,8 +112,8 @@ def straight_tracks(reach: float, sign: float, body: Body = BODY) -> Array:
 
 
 def turn_tracks(reach: float, sign: float, body: Body = BODY, spare: float = 0.0) -> Array:
-    """(tracks, samples, 2) of the parts of the rim of `body`, a part of the body that is larger by `spare` [m] on each side, that lead a turn; `sign`
-    1.0 left, -1.0 right.
+    """(tracks, samples, 2) of the parts of the rim of `body`, a part of the body that is larger by `spare` [m] on each
+    side, that lead a turn; `sign` 1.0 left, -1.0 right.
     """
     length, width = BODY_LENGTH / 2 + spare, BODY_WIDTH / 2 + spare
     front, side = _spaced(-width, 0.0), _spaced(0.0, length)
@@ -126,7 +133,8 @@ def turn_tracks(reach: float, sign: float, body: Body = BODY, spare: float = 0.0
 
 
 def shells(tracks: Callable[[Body], Array], body: Body) -> Array:
-    """(shells, tracks, samples, 2): the tracks of `body`, and outside of it those of bodies that are larger by SPACING, up to the whole one."""
+    """(shells, tracks, samples, 2): the tracks of `body`, and outside of it those of bodies that are larger by SPACING,
+    up to the whole one."""
     lacks = np.array(BODY) - body
     count = math.ceil(lacks.max() / SPACING - 1e-9)
     bodies = [Body(*(BODY - np.maximum(lacks - k * SPACING, 0.0)).tolist()) for k in range(count + 1)]
@@ -148,14 +156,15 @@ UNDER = np.stack(
 """(points, 1, 2) places x, y [m] in base_link all over the body, as tracks of one sample."""
 
 Stand = tuple[float, float, float]
-"""The plane that the robot stands on: height below base_link [m] in `map`, NaN where nothing is known; grades forward and left [m/m]."""
+"""The plane that the robot stands on: height below base_link [m] in `map`, NaN where nothing is known; grades forward
+and left [m/m]."""
 FLAT: Stand = (math.nan, 0.0, 0.0)
 """Nothing is known of it."""
 
 
 def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array) -> Stand:
-    """The plane under the body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis `up` (3,) is in `map`;
-    as high as the median of the ground that is known there.
+    """The plane under the body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis `up` (3,) is
+    in `map`; as high as the median of the ground that is known there.
     """
     x, y, yaw = (float(v) for v in pose)
     c, s = math.cos(yaw), math.sin(yaw)
@@ -180,9 +189,9 @@ def reach_of(
     seen: bool,
     wall: NDArray[np.uint8] = NO_WALL,
 ) -> Reach:
-    """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`; `seen`: on
-    ground that the map knows alone. Tracks of the whole body (tracks, samples, 2), with a `wall` (rows, cols) that
-    the body touches the `shells` of what of it is in none.
+    """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`;
+    `seen`: on ground that the map knows alone. Tracks of the whole body (tracks, samples, 2), with a `wall` (rows,
+    cols) that the body touches the `shells` of what of it is in none.
     """
     gap = math.ceil((robot.max_gap + around.resolution) / SPACING)
     tracks = tracks if tracks.ndim == 4 else tracks[None]
@@ -209,8 +218,8 @@ def reach_of(
 
 
 def leaves_on(tracks: Array, step: float, around: Surroundings, pose: tuple[float, float, float]) -> float:
-    """How far [m or rad] the body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad] in `map` until a part of it is over
-    ground under leaves; 0 where one is, infinite where it meets none.
+    """How far [m or rad] the body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad] in `map`
+    until a part of it is over ground under leaves; 0 where one is, infinite where it meets none.
     """
     if not (around.source == PLANTS).any():
         return math.inf
@@ -240,7 +249,8 @@ def first_leaf(tracks, source, x0, y0, resolution, x, y, yaw):  # pragma: no cov
 
 @njit(cache=True)
 def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma: no cover - compiled
-    """Median height [m] of the known ground under the body, carried to its middle along the grades; NaN where nothing is known."""
+    """Median height [m] of the known ground under the body, carried to its middle along the grades; NaN where nothing
+    is known."""
     rows, cols = height.shape
     c, s = math.cos(yaw), math.sin(yaw)
     reach = math.ceil(math.hypot(BODY_LENGTH, BODY_WIDTH) / (2.0 * resolution))
@@ -277,12 +287,13 @@ def nearest_obstacle(
     gap,
     blind,
 ):  # pragma: no cover - compiled
-    """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is none.
+    """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is
+    none.
 
-    `tracks` (shells, tracks, samples, 2): outside of the first shell `wall` (rows, cols), which the body touches, is no obstacle, nor is what lies
-    behind it.
-    `limit` [m]: highest face; `rise` [m]: what the steepest slope rises from sample to sample; `gap`: samples a gap may span; `blind`:
-    samples that may lie between one whose ground is known and the next.
+    `tracks` (shells, tracks, samples, 2): outside of the first shell `wall` (rows, cols), which the body touches, is no
+    obstacle, nor is what lies behind it. `limit` [m]: highest face; `rise` [m]: what the steepest slope rises from
+    sample to sample; `gap`: samples a gap may span; `blind`: samples that may lie between one whose ground is known and
+    the next.
     """
     rows, cols = height.shape
     layers, count, samples = tracks.shape[0], tracks.shape[1], tracks.shape[2]
@@ -400,7 +411,8 @@ def nearest_obstacle(
 def occupy(points, ground, x0, y0, resolution, lowest, highest, least, out):  # pragma: no cover - compiled
     """Set `out` (rows, cols) to 1 where at least `least` of the points (n, 3) [m] in `map` stand on the ground.
 
-    A point stands on it when it is `lowest` (rows, cols) to `highest` [m] above `ground` (rows, cols), which have no NaN.
+    A point stands on it when it is `lowest` (rows, cols) to `highest` [m] above `ground` (rows, cols), which have no
+    NaN.
     """
     rows, cols = ground.shape
     count = np.zeros((rows, cols), np.int32)

@@ -1,8 +1,9 @@
 """What the robot touches and no sensor foretold, felt from joints and IMU: something holds the body, or one wheel.
 
-Newton's law does the work: what the wheels get from the ground, by the leg torques, is all that moves the robot. What the
-accelerometer tells beyond that pushes at the body. A slope is in both. A wheel that leads is held where it alone is pushed back, while
-the others drive. Whether the map explains it is not decided here: `joints` is told how uneven the map is at the wheels.
+Newton's law does the work: what the wheels get from the ground, by the leg torques, is all that moves the robot. What
+the accelerometer tells beyond that pushes at the body. A slope is in both. A wheel that leads is held where it alone is
+pushed back, while the others drive. Whether the map explains it is not decided here: `joints` is told how uneven the
+map is at the wheels.
 """
 
 from __future__ import annotations
@@ -21,30 +22,34 @@ from hal.wheel_force import wheel_loads, wheel_pushes
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
 """[kg] that the legs push, without payload; shanks and wheels get their share from the ground itself."""
 HEAVIEST, WEIGH_TIME = 40.0, 1.0
-"""[kg] with payload at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope pushes nothing."""
+"""[kg] with payload at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope
+pushes nothing."""
 UP = np.array([0.0, 0.0, 1.0])
 SHORT = 0.85
-"""A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against each other in a bend."""
+"""A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against
+each other in a bend."""
 DRIVES = 0.03
 """[m/s] A robot that is commanded slower than this drives nowhere."""
 PUSHED = 12.0
 """[N] A wheel that is pushed back less than this is not held."""
 STRAIN = 0.3
-"""Share of a wheel's push that the wheel behind or before it feels as well when the robot turns: it is no obstacle then."""
+"""Share of a wheel's push that the wheel behind or before it feels as well when the robot turns: it is no obstacle
+then."""
 TURN = 60.0
 """[N s/rad] A turn pushes wheels back as well: what more it takes then."""
 FACE = 0.04
 """[m] Ground that lies this far off the plane that the robot stands on throws legs about, and is a face to climb."""
 EDGE = 0.025
-"""[m] The map explains a held wheel from here on: an edge of this height takes as much push as a wheel carries (its radius is 0.086 m), and the
-map tells no lower one from its noise."""
+"""[m] The map explains a held wheel from here on: an edge of this height takes as much push as a wheel carries (its
+radius is 0.086 m), and the map tells no lower one from its noise."""
 TALL = 0.20
 """[m] The same of the body, whose belly is higher."""
 ROUGH = 3.0
 """On uneven ground legs are thrown about: so many times the force tells a touch of the body there."""
 BODY_TIME, CLIMB_TIME, WHEEL_TIME = 0.05, 0.25, 0.09
-"""[s] that it lasts: on even ground, on uneven ground, and of a wheel. While the hybrid controller climbs kerbs of 19 cm that force lasts up to
-0.16 s. What stands in the way pushes on. A wheel that jumps over a pebble is held for less."""
+"""[s] that it lasts: on even ground, on uneven ground, and of a wheel. While the hybrid controller climbs kerbs of 19
+cm that force lasts up to 0.16 s. What stands in the way pushes on. A wheel that jumps over a pebble is held for less.
+"""
 AHEAD = 0.2
 """[m] beyond the end of the body: what lies farther away holds no wheel."""
 BESIDE = 0.05
@@ -85,8 +90,8 @@ class TouchWatch:
     def joints(
         self, sample: JointSample, vx: float, wz: float, uneven: float, speed: float | None = None
     ) -> Touch | None:
-        """What is touched just now, by a robot that is commanded to drive at `vx` [m/s], `wz` [rad/s] where the map is `uneven` [m] ahead of the wheels and
-        under them. `speed`: measured, forward [m/s]; None: not known."""
+        """What is touched just now, by a robot that is commanded to drive at `vx` [m/s], `wz` [rad/s] where the map is
+        `uneven` [m] ahead of the wheels and under them. `speed`: measured, forward [m/s]; None: not known."""
         elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST)
         self._stamp = sample.stamp
         if self._count:

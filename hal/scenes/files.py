@@ -30,8 +30,8 @@ def read_scene(
     units: str | None = None,
     up: str | None = None,
 ) -> Scene:
-    """A scene from `path`. Raises SceneError. `units` (m, cm, mm, ft) and `up` (z, y) of a cloud or mesh, None: guessed from its extent; the guess
-    stands in `Scene.taken`.
+    """A scene from `path`. Raises SceneError. `units` (m, cm, mm, ft) and `up` (z, y) of a cloud or mesh, None: guessed
+    from its extent; the guess stands in `Scene.taken`.
 
     `resolution` [m] is needed for a picture and optional for clouds and meshes; `height_range` [m] (black, white) is
     needed for a picture. Unknown cells are filled for the physics and stay NaN in `Scene.survey`. Without `start` a

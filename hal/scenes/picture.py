@@ -41,8 +41,9 @@ class TopView:
         size: int = 900,
         assumed: NDArray[np.bool_] | None = None,
     ) -> None:
-        """`height` (rows, cols) [m], finite; `trusted` (rows, cols), False is drawn dark; `assumed` (rows, cols) is drawn orange; `origin`: x, y [m] of the centre of cell
-        [0, 0]; `resolution` [m]; `size`: pixels of the longer side."""
+        """`height` (rows, cols) [m], finite; `trusted` (rows, cols), False is drawn dark; `assumed` (rows, cols) is
+        drawn orange; `origin`: x, y [m] of the centre of cell [0, 0]; `resolution` [m]; `size`: pixels of the longer
+        side."""
         self._rows, cols = height.shape
         self._zoom = size / max(self._rows, cols)
         self._origin = origin

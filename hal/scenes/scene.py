@@ -65,7 +65,8 @@ class Scene:
     allowed_area: tuple[tuple[float, float], ...] | None = None
     """Polygon x, y [m] outside which goals are refused; None: everywhere."""
     survey: NDArray[np.float32] | None = None
-    """(rows, cols) heights as scanner stations measured them: with noise, NaN where none saw the cell. None: as `height`."""
+    """(rows, cols) heights as scanner stations measured them: with noise, NaN where none saw the cell. None: as
+    `height`."""
     pairs: tuple[Pair, ...] = field(default=())
     """Start and goal of each benchmark query, frozen. Studies take the first ten unless told otherwise."""
     mesh: Geometry | None = None

@@ -19,7 +19,8 @@ SPORT_STATE = "rt/sportmodestate"
 L1_IMU = "rt/utlidar/imu"
 L1_CLOUD = "rt/utlidar/cloud"
 CUSTOM = " CustomMsg"
-"""Behind the name of a topic that is read as livox_ros_driver2's type: a Mid-360 speaks there in this one or as PointCloud2."""
+"""Behind the name of a topic that is read as livox_ros_driver2's type: a Mid-360 speaks there in this one or as
+PointCloud2."""
 CLOUD_TYPES = ("PointCloud2", "CustomMsg")
 DRY_RUN = "dry run, nothing is sent"
 """The cause of every phase then begins with it."""

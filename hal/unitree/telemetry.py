@@ -280,7 +280,8 @@ class Telemetry:
         return "; ".join(filter(None, [*told, self.lidar_note(now)]))
 
     def lidar_note(self, now: int) -> str:
-        """Which LiDAR does not speak, in words, and where else clouds are sent, or whose stamps are wrong; empty when all is well."""
+        """Which LiDAR does not speak, in words, and where else clouds are sent, or whose stamps are wrong; empty when
+        all is well."""
         notes = (self._silence.words(self.lidars, now), *(lidar.note(now) for lidar in self.lidars))
         return "; ".join(note for note in notes if note)
 
@@ -332,7 +333,8 @@ class Telemetry:
 
     @property
     def mode(self) -> int:
-        """Mode of the sport service (0 idle, 1 balance, 2 pose, 3 locomotion, 5 lying, 6 locked, 7 damping, 8 recovery)."""
+        """Mode of the sport service (0 idle, 1 balance, 2 pose, 3 locomotion, 5 lying, 6 locked, 7 damping, 8
+        recovery)."""
         return -1 if self.sport is None else int(self.sport["mode"])
 
     @property

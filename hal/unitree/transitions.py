@@ -172,7 +172,8 @@ class Transitions:
             yield from self._stand_down(tries=1, timeout=0.5)
 
     def _seen(self, phases: tuple[Phase, ...], modes: tuple[int, ...]) -> bool:
-        """Whether the robot tells one of `phases` in error_code, or, where it tells nothing there, is in one of `modes`."""
+        """Whether the robot tells one of `phases` in error_code, or, where it tells nothing there, is in one of
+        `modes`."""
         told = self._telemetry.told
         return self._telemetry.mode in modes if told is None else told in phases
 

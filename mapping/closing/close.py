@@ -307,8 +307,8 @@ class Closing:
         self._reach()
 
     def _doubt(self) -> None:
-        """A run of which as many keyframes are missed as are found is elsewhere: two places may look alike, a way through
-        them does not."""
+        """A run of which as many keyframes are missed as are found is elsewhere: two places may look alike, a way
+        through them does not."""
         for run in sorted(self._found - {0}):
             loops = {
                 n

@@ -56,10 +56,11 @@ class MapPatch:
     """A rectangle of cells on the world lattice, frame `map`.
 
     Row grows with y, column with x. Layers are (rows, cols) float32: `elevation` [m] (NaN unknown), `variance` [m^2]
-    (NaN unknown), `trusted` 0/1, `upper_bound` [m] (the surface is not above this; NaN when no ray tells),
-    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top), 6 touched by the robot,
-    7 a hole wider than the robot crosses (`mapping.elevation.holes`). That of `ElevationMap.complete`
-    has `age`, too: seconds since something agreed with the height (NaN: never, as on a prior map and where it is bridged).
+    (NaN unknown), `trusted` 0/1, `upper_bound` [m] (the surface is not above this; NaN when no ray tells), `source` 0
+    unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves
+    (`upper_bound`: their top), 6 touched by the robot, 7 a hole wider than the robot crosses
+    (`mapping.elevation.holes`). That of `ElevationMap.complete` has `age`, too: seconds since something agreed with the
+    height (NaN: never, as on a prior map and where it is bridged).
     """
 
     origin: tuple[float, float]
@@ -100,7 +101,8 @@ class MapPatch:
         return replace(self, layers=self.layers | {"filled": filled, "slope": slope, "step": step})
 
     def grid(self, *, filled: bool = False) -> ElevationGrid:
-        """As an `ElevationGrid`; `filled`: unknown heights take the nearest known one and stay untrusted, and some are virtual ground."""
+        """As an `ElevationGrid`; `filled`: unknown heights take the nearest known one and stay untrusted, and some are
+        virtual ground."""
         height, trusted, virtual = self.layers["elevation"], self.layers["trusted"] > 0.5, None
         if filled:
             upper = self.layers["upper_bound"]

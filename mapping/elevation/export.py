@@ -32,8 +32,8 @@ class Limits:
 
 
 def traversal_cost(grid: ElevationGrid, limits: Limits) -> NDArray[np.int8]:
-    """(rows, cols) int8 as in nav_msgs/OccupancyGrid: slope and step of each cell as a share of what the robot drives over, 0 to 100 (100: at or
-    beyond a limit), -1 where the ground is not trusted."""
+    """(rows, cols) int8 as in nav_msgs/OccupancyGrid: slope and step of each cell as a share of what the robot drives
+    over, 0 to 100 (100: at or beyond a limit), -1 where the ground is not trusted."""
     height = np.where(grid.trusted, grid.height, np.float32(np.nan))
     slope, step = slope_and_step(height, grid.resolution)
     share = np.fmax(slope / limits.max_slope, step / limits.max_step)
@@ -65,8 +65,8 @@ def whole(elevation: ElevationMap) -> ElevationGrid:
 
 
 def write(elevation: ElevationMap, out: Path, limits: Limits) -> int:
-    """Write a map by the end of the name: `.npz` (what `--map` reads, nothing is lost), `.tif`, `.pcd`, `.png` with a `.yaml` beside it.
-    Returns its known cells. Raises OSError, MapError."""
+    """Write a map by the end of the name: `.npz` (what `--map` reads, nothing is lost), `.tif`, `.pcd`, `.png` with a
+    `.yaml` beside it. Returns its known cells. Raises OSError, MapError."""
     if out.suffix not in WRITERS:
         raise MapError(f"{out} must end in {', '.join(WRITERS)}")
     grid = whole(elevation)

@@ -32,7 +32,8 @@ MAX_BYTES = 1_000_000_000
 
 
 def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32]) -> None:
-    """Write all tiles, and the thinned cloud (n, 3) of the same map; the file appears complete or not at all. Same map, same bytes. Raises OSError."""
+    """Write all tiles, and the thinned cloud (n, 3) of the same map; the file appears complete or not at all. Same map,
+    same bytes. Raises OSError."""
     path = Path(path)
     keys = store.keys
     arrays: dict[str, Any] = {
@@ -62,9 +63,11 @@ def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[n
 def restore_store(
     store: TileStore, patch: MapPatch, params: ElevationConfig, now: int, *, sent: bool = True
 ) -> int:
-    """Write the cells of a read-out back into a store, as seen at `now` [ms] by enough points; returns how many are known.
+    """Write the cells of a read-out back into a store, as seen at `now` [ms] by enough points; returns how many are
+    known.
 
-    `sent`: they count as sent, as the reader they came from has them. Raises MapError for another resolution, and for cells of no known source.
+    `sent`: they count as sent, as the reader they came from has them. Raises MapError for another resolution, and for
+    cells of no known source.
     """
     if abs(patch.resolution - params.resolution) > 1e-9:
         raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
@@ -116,7 +119,8 @@ def load_into(store: TileStore, path: Path, resolution: float, enough: int) -> i
 
 
 def read_cloud(path: Path) -> NDArray[np.float32]:
-    """(n, 3) cloud of a map [m]: what `save_store` wrote, or the points of a .ply or .pcd without a mesh; none where the file has none.
+    """(n, 3) cloud of a map [m]: what `save_store` wrote, or the points of a .ply or .pcd without a mesh; none where
+    the file has none.
 
     Raises MapError for a cloud that is damaged.
     """
@@ -265,8 +269,8 @@ def _enter_points(
 
 
 def _lattice(place: NDArray, resolution: float) -> NDArray[np.int64]:
-    """Rows or columns of places [m]. The border of two cells belongs to the upper one, rounded or not: of a grid of half the
-    resolution one cell took three columns and its neighbour one, and a wall one column wide was lost."""
+    """Rows or columns of places [m]. The border of two cells belongs to the upper one, rounded or not: of a grid of
+    half the resolution one cell took three columns and its neighbour one, and a wall one column wide was lost."""
     return np.floor(place / resolution + (0.5 + 1e-4)).astype(np.int64)
 
 

@@ -1,10 +1,11 @@
 """How wide a hole is: the one answer to that, from the rims between which its width is measured.
 
-A hole is ground that nobody saw between two rims, into which a ray went down below both, or ground that was seen far below them. Cells
-round its width: a few centimetres of ground fill the cell at a rim, and points of the wall below the far rim scatter into the cell before
-it. So a rim is the first cell that is as high as the ground behind it, which counts up to its middle, and the width is measured along
-eight directions. What is wider than the robot crosses is told as `exchange.HOLE`; planner and guard read that, each with its own kernel.
-They know the wider ones by their cells: `REACH` ends where every hole has more cells without ground than they cross.
+A hole is ground that nobody saw between two rims, into which a ray went down below both, or ground that was seen far
+below them. Cells round its width: a few centimetres of ground fill the cell at a rim, and points of the wall below the
+far rim scatter into the cell before it. So a rim is the first cell that is as high as the ground behind it, which
+counts up to its middle, and the width is measured along eight directions. What is wider than the robot crosses is told
+as `exchange.HOLE`; planner and guard read that, each with its own kernel. They know the wider ones by their cells:
+`REACH` ends where every hole has more cells without ground than they cross.
 """
 
 from __future__ import annotations
@@ -21,27 +22,32 @@ from mapping.elevation.bridging import OVER
 LIDAR, WIDE = 2, 9
 """`source` of measured cells, and of a hole that is wider than what is crossed, until it is told as `exchange.HOLE`."""
 REACH = 0.4
-"""[m] between the rims of the widest hole that is looked for: less than the body is wide, so no way between two walls is one."""
+"""[m] between the rims of the widest hole that is looked for: less than the body is wide, so no way between two walls
+is one."""
 SHALLOW = 0.05
 """[m] below both rims that a ray must have come to show a hole: more than heights and poses are off."""
 WALL = 0.02
 """[m] by which a cell is lower than the ground behind it that holds the wall below a rim."""
 SHARE = 0.4
-"""Of the points of the ground behind it: a cell with fewer is less than half ground, or holds what scatters before the wall."""
+"""Of the points of the ground behind it: a cell with fewer is less than half ground, or holds what scatters before the
+wall."""
 STEEP, STEEPEST = 0.1, 0.5
 """[m/m] Ground that falls by more towards the hole goes on so, as in a valley; by so much at most."""
 BEHIND = 4
 """Cells behind a rim that tell its slope."""
 EVEN, UNEVEN = 3, 0.03
-"""Cells behind a rim that must be known and no more uneven [m], or steeper than `STEEPEST`: a rim is ground, and no post of a stepfield and no bar."""
+"""Cells behind a rim that must be known and no more uneven [m], or steeper than `STEEPEST`: a rim is ground, and no
+post of a stepfield and no bar."""
 ASIDE = 2
-"""Cells to both sides at which a rim is no more uneven, as far as they are known: a wall that is seen along its length is none."""
+"""Cells to both sides at which a rim is no more uneven, as far as they are known: a wall that is seen along its length
+is none."""
 DIRECTIONS = 8
 ROUNDING = 0.25
 """Cells by which the middles of two rims are farther apart along a direction than the slit is wide, as a rule."""
 TOGETHER, OF_THEM = 0.3, 0.5
-"""Cells within so many [m] tell the width together: a hole is wide where so large a share of them has it wide. One cell is off by 2 cm (simulated
-LiDARs, slits of 0.10 to 0.20 m at 0 to 45 deg). With a third instead, a crack of 0.10 m at 45 deg held a robot that was half across."""
+"""Cells within so many [m] tell the width together: a hole is wide where so large a share of them has it wide. One cell
+is off by 2 cm (simulated LiDARs, slits of 0.10 to 0.20 m at 0 to 45 deg). With a third instead, a crack of 0.10 m at 45
+deg held a robot that was half across."""
 
 
 class Crossing(NamedTuple):
@@ -55,9 +61,9 @@ class Crossing(NamedTuple):
 
 @borrows
 def _rim(height, source, ground, points, r, c, dr, dc, low, most, out):  # pragma: no cover - compiled
-    """The first rim from cell (r, c) along (dr, dc), a vector one cell long, that is not lower than `low` [m]. Into `out` (4,): its distance [cells];
-    its height as it goes on to (r, c) [m], where it falls by more than the third number a cell, by the fourth at most. False where there is none
-    within `most` cells."""
+    """The first rim from cell (r, c) along (dr, dc), a vector one cell long, that is not lower than `low` [m]. Into
+    `out` (4,): its distance [cells]; its height as it goes on to (r, c) [m], where it falls by more than the third
+    number a cell, by the fourth at most. False where there is none within `most` cells."""
     rows, cols = height.shape
     last_r, last_c = r, c
     walls = 0
@@ -101,7 +107,8 @@ def _rim(height, source, ground, points, r, c, dr, dc, low, most, out):  # pragm
 
 @borrows
 def _between(height, trusted, bound, deep, r, c, dr, dc, n, most, out):  # pragma: no cover - compiled
-    """Raise `out` by one at the cells of a line of `n` from (r, c) along (dr, dc) that lie below its last rim, at most so many cells back."""
+    """Raise `out` by one at the cells of a line of `n` from (r, c) along (dr, dc) that lie below its last rim, at most
+    so many cells back."""
     last = -1
     rim = np.float32(0.0)
     for k in range(n):
@@ -116,11 +123,12 @@ def _between(height, trusted, bound, deep, r, c, dr, dc, n, most, out):  # pragm
 
 @njit(cache=True)
 def widths(height, source, trusted, points, bound, resolution, deep, out):  # pragma: no cover - compiled
-    """Into `out` (rows, cols) f32 [m]: how wide the hole is that a cell shows, the narrowest of eight directions; 0 where it shows none.
+    """Into `out` (rows, cols) f32 [m]: how wide the hole is that a cell shows, the narrowest of eight directions; 0
+    where it shows none.
 
-    height (rows, cols) [m], NaN unknown; source, points: where it comes from, and of how many; trusted: ground to stand on; bound [m]: the ground
-    is not above this where it is not trusted, inf where no ray tells. Trusted ground shows one where it is lower than both rims by more than
-    `deep` [m].
+    height (rows, cols) [m], NaN unknown; source, points: where it comes from, and of how many; trusted: ground to stand
+    on; bound [m]: the ground is not above this where it is not trusted, inf where no ray tells. Trusted ground shows
+    one where it is lower than both rims by more than `deep` [m].
     """
     rows, cols = height.shape
     out[:] = 0.0
@@ -171,8 +179,8 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
 def mark_holes(
     height, source, trusted, points, bound, resolution, gap, drop, width
 ):  # pragma: no cover - compiled
-    """Mark in `source` (rows, cols) the cells that show a hole wider than `gap` [m]; what a bridge led over there is unknown again. `width` is
-    scratch; see `widths`."""
+    """Mark in `source` (rows, cols) the cells that show a hole wider than `gap` [m]; what a bridge led over there is
+    unknown again. `width` is scratch; see `widths`."""
     rows, cols = height.shape
     widths(height, source, trusted, points, bound, resolution, drop, width)
     reach = round(TOGETHER / resolution)

@@ -40,12 +40,13 @@ from mapping.thin_cloud import ThinCloud
 CLOUD_EVERY = 10
 """Scans of which one goes into the thinned cloud."""
 AT_A_TIME = 300_000
-"""Cells of changes that are told at once, 6 MB. A prior map of 100 x 100 m in one go, 125 MB, came in half to its readers."""
+"""Cells of changes that are told at once, 6 MB. A prior map of 100 x 100 m in one go, 125 MB, came in half to its
+readers."""
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
 STEEP_RAYS = 2.0
-"""[m] along the ground that the rays of the head's LiDAR are followed in each scan. They alone look into holes, few into each; `clean` takes the rays
-of one scan in three."""
+"""[m] along the ground that the rays of the head's LiDAR are followed in each scan. They alone look into holes, few
+into each; `clean` takes the rays of one scan in three."""
 FINEST = 0.03
 """Cells [m] in which plants are looked for."""
 UPRIGHT = 0.7
@@ -116,7 +117,8 @@ class ElevationMap:
             other.restore(patch)
 
     def put_on(self, folder: Path) -> None:
-        """Put far tiles on this disk and bring them back, from before the first scan on. Nothing that is read out differs by that."""
+        """Put far tiles on this disk and bring them back, from before the first scan on. Nothing that is read out
+        differs by that."""
         self.store.put_on(folder)
 
     def _stay_near(self, most: int = AT_ONCE) -> None:
@@ -244,9 +246,10 @@ class ElevationMap:
     ) -> int:
         """Enter the ground under the wheels at low confidence; LiDAR-seen cells stay, and LiDAR overrides it.
 
-        wheel_contacts (k,3) bottoms of the wheels in contact, base_link. `start`: fill a disc instead of the
-        footprint; by default the first time after a reset. Fewer than three tell of their own spots only. Nothing is entered
-        where the LiDAR knows better: under a wheel on a kerb or in the air lies another ground. Returns the number of cells entered.
+        wheel_contacts (k,3) bottoms of the wheels in contact, base_link. `start`: fill a disc instead of the footprint;
+        by default the first time after a reset. Fewer than three tell of their own spots only. Nothing is entered where
+        the LiDAR knows better: under a wheel on a kerb or in the air lies another ground. Returns the number of cells
+        entered.
         """
         p = self.params
         contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
@@ -268,7 +271,8 @@ class ElevationMap:
         return int(written.i.size)
 
     def touch(self, x: float, y: float, z: float, yaw: float, stamp: int) -> None:
-        """The robot touched something no ray tells of, at x, y [m], z of its base_link [m] by the odometry, as it drove along `yaw` [rad].
+        """The robot touched something no ray tells of, at x, y [m], z of its base_link [m] by the odometry, as it drove
+        along `yaw` [rad].
 
         It reads as a wall until it fades, or until `forget_touched`. Raises MapError for what is no number.
         """
@@ -287,8 +291,9 @@ class ElevationMap:
         return self._reader.walls.clear(self.store)
 
     def grant(self, granted: bool) -> None:
-        """Whether ground around the wheels that nobody saw counts: the support plane beyond the body at the start, and gaps from there to the
-        nearest ring. At first it does. It is right as long as a LiDAR sees that ground before the wheels come there."""
+        """Whether ground around the wheels that nobody saw counts: the support plane beyond the body at the start, and
+        gaps from there to the nearest ring. At first it does. It is right as long as a LiDAR sees that ground before
+        the wheels come there."""
         if granted is self._reader.granted:
             return
         self._reader.granted = granted
@@ -311,7 +316,8 @@ class ElevationMap:
         return int(judge(*self._looks, n, *rule, s.cells, s.touched, 2 * s.shift))
 
     def _trace(self, stride: int, first: int, reach: float, looks: tuple[NDArray[Any], ...]) -> int:
-        """Along every `stride`-th ray of the last scan, from the `first` on, as far as `reach` [m]; into `looks` what it passed through, so many."""
+        """Along every `stride`-th ray of the last scan, from the `first` on, as far as `reach` [m]; into `looks` what
+        it passed through, so many."""
         p, s = self.params, self.store
         return trace(
             self._ends, self._rays, stride, first, self._sensor, s.directory, s.first, s.shift,
@@ -320,8 +326,8 @@ class ElevationMap:
         )  # fmt: skip
 
     def find_plants(self) -> int:
-        """Take what the rays of the last scans showed to be leaves for ground, and what turned out to be solid among them back; returns how many
-        cells changed. Call it at about 3 Hz."""
+        """Take what the rays of the last scans showed to be leaves for ground, and what turned out to be solid among
+        them back; returns how many cells changed. Call it at about 3 Hz."""
         if self._plants is None or self.scans == 0:
             return 0
         p, s, reach = self.params, self.store, self._plants.reach
@@ -371,7 +377,8 @@ class ElevationMap:
         return len(cell)
 
     def _clock(self, stamp: int) -> int:
-        """Milliseconds lived through; never runs backwards. A source clock that is set (a 1970 boot clock) passes no time."""
+        """Milliseconds lived through; never runs backwards. A source clock that is set (a 1970 boot clock) passes no
+        time."""
         step = int(stamp) - self.stamp
         if self.stamp == 0 or not -CLOCK_BACK < step < CLOCK_AHEAD:
             self.stamp = int(stamp)
@@ -398,7 +405,8 @@ class ElevationMap:
         return known
 
     def begin_on(self, patches: Sequence[MapPatch], cloud: NDArray[np.float32]) -> int:
-        """Start anew from a prior map that came as patches and its cloud (n, 3); see `load_prior`. Raises MapError for another resolution."""
+        """Start anew from a prior map that came as patches and its cloud (n, 3); see `load_prior`. Raises MapError for
+        another resolution."""
         store = TileStore(self.params.tile_cells, self.store.folder)
         tiles = sum(patch.layers["elevation"].size for patch in patches) // store.size**2
         store.reserve(min(tiles, MAX_TILES))  # to grow by and by copies what is there each time
@@ -428,7 +436,8 @@ class ElevationMap:
 
         Height, variance, trust and upper bounds come back; counts and the memory of what stood there do not. What was
         bridged is bridged again. A reader does not know which ground of the wheels was driven on and which was granted
-        at the start: `grant` takes all of it back but what the wheels enter again. Raises MapError for another resolution.
+        at the start: `grant` takes all of it back but what the wheels enter again. Raises MapError for another
+        resolution.
         """
         now = self._clock(patch.stamp)
         self._fresh = False
@@ -451,7 +460,8 @@ class ElevationMap:
         return self._reader.read_all(self.stamp, self.epoch)
 
     def boxes(self, most: int = PART) -> list[Box]:
-        """The whole map as few boxes of whole tiles, one if that has at most so many cells. Raises MapError while it is empty."""
+        """The whole map as few boxes of whole tiles, one if that has at most so many cells. Raises MapError while it is
+        empty."""
         return list(self._reader.boxes(most))
 
     def read(self, box: Box) -> MapPatch:
@@ -475,6 +485,6 @@ class ElevationMap:
         return self.full().grid()
 
     def take_patches(self, most: int = AT_A_TIME) -> list[MapPatch]:
-        """Cells whose height, trust or source changed since the last call: at most one patch per row of tiles. Of a block of tiles that is begun
-        after `most` cells the next call tells."""
+        """Cells whose height, trust or source changed since the last call: at most one patch per row of tiles. Of a
+        block of tiles that is begun after `most` cells the next call tells."""
         return self._reader.take_changes(self.stamp, self.epoch, most)

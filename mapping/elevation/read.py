@@ -63,8 +63,8 @@ class MapReader:
         return MapPatch((box[1] * r, box[0] * r), r, stamp, epoch, layers)
 
     def _layers(self, box: Box, out: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Into `out` (5, rows, cols), as PATCH_LAYERS. The margin around it covers a bridge and what its slope is judged by, as far as there are tiles: a
-        bridge ends on known cells."""
+        """Into `out` (5, rows, cols), as PATCH_LAYERS. The margin around it covers a bridge and what its slope is
+        judged by, as far as there are tiles: a bridge ends on known cells."""
         p, pad = self.params, self._pad
         i0, j0, rows, cols = box
         i, j, tile_rows, tile_cols = self.store.bounds() or (i0, j0, 0, 0)
@@ -88,8 +88,8 @@ class MapReader:
         return out
 
     def take_changes(self, stamp: int, epoch: int, most: int) -> list[MapPatch]:
-        """Patches of what reads differently from what the last ones said; at most one per row of tiles and block. No further block is begun after
-        `most` cells: what it holds still counts as changed."""
+        """Patches of what reads differently from what the last ones said; at most one per row of tiles and block. No
+        further block is begun after `most` cells: what it holds still counts as changed."""
         s = self.store
         slots = np.flatnonzero(s.touched[: s.used])
         if slots.size == 0:
@@ -162,7 +162,8 @@ class _Scratch:
 
 @njit(cache=True)
 def _compose(height, variance, upper, source, trusted, top, left, sigma2, out):  # pragma: no cover - compiled
-    """Layers (5, rows, cols) in the order of PATCH_LAYERS from wider read-outs after `bridge`, which they begin `top` rows and `left` columns in."""
+    """Layers (5, rows, cols) in the order of PATCH_LAYERS from wider read-outs after `bridge`, which they begin `top`
+    rows and `left` columns in."""
     for r in range(out.shape[1]):
         for c in range(out.shape[2]):
             a, b = r + top, c + left

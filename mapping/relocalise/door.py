@@ -1,7 +1,7 @@
 """The door for place finders of others, named as `package.module:function`.
 
-A finder is a function `(cloud, seen, hint) -> (k, 4)` that says where in a map the robot stands: x, y [m], yaw [rad] and how certain that is
-[0..1], or None where it does not know. Which of the places counts is decided as for ours.
+A finder is a function `(cloud, seen, hint) -> (k, 4)` that says where in a map the robot stands: x, y [m], yaw [rad]
+and how certain that is [0..1], or None where it does not know. Which of the places counts is decided as for ours.
 """
 
 from __future__ import annotations

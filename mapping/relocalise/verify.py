@@ -1,4 +1,5 @@
-"""What speaks for a place and what against it: points on the map's surfaces, rays through them, things on ground that the map knows."""
+"""What speaks for a place and what against it: points on the map's surfaces, rays through them, things on ground that
+the map knows."""
 
 from __future__ import annotations
 
@@ -30,8 +31,9 @@ SHORT = 0.5
 TALL = 1.2
 """Something up to this high above known ground contradicts it [m]; what hangs higher may always hang there."""
 LOW, OTHER = 0.25, 0.05
-"""Bare ground that differs by more than OTHER from what the map knows [m] is other ground: ramps and kerbs are all that tells the two ends of a
-lane apart. What differs by more than LOW was put there or taken away: boxes, which are moved, are higher."""
+"""Bare ground that differs by more than OTHER from what the map knows [m] is other ground: ramps and kerbs are all that
+tells the two ends of a lane apart. What differs by more than LOW was put there or taken away: boxes, which are moved,
+are higher."""
 WEIGHT, FEW = 2.0, 60
 """Of the share of other ground, and so many columns of bare ground say half of what many say."""
 SQUARE, EVEN = 0.12, 0.03
@@ -99,7 +101,8 @@ class Surfaces:
     ) -> tuple[float, float]:
         """Shares [0..1] of the submap's structure that lies on surfaces of the map, and that contradicts it.
 
-        cloud, eyes (n, 3) [m] from the ground under the robot, see `Submap.cloud`; bare (n,): which are ground, see `bare_ground`.
+        cloud, eyes (n, 3) [m] from the ground under the robot, see `Submap.cloud`; bare (n,): which are ground, see
+        `bare_ground`.
         """
         pose = pose_of(place)
         there, eye = (x @ pose[:3, :3].T + pose[:3, 3] for x in (cloud, eyes))
@@ -123,8 +126,8 @@ def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
 
 
 class Ground:
-    """Known ground of a map in small squares: its heights, and its plane where it is even. Blocks in, one sorted list of squares out: memory goes
-    with the ground.
+    """Known ground of a map in small squares: its heights, and its plane where it is even. Blocks in, one sorted list
+    of squares out: memory goes with the ground.
     """
 
     def __init__(self, ground: Sequence[ElevationGrid]) -> None:
@@ -148,7 +151,8 @@ class Ground:
         self._keys, self._squares = key[order], square[order]
 
     def _under(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Square (n, 5), see `_squares`, that each of (n, 3) lies over, NaN where there is none, and x, y (n, 2) from its middle [m]."""
+        """Square (n, 5), see `_squares`, that each of (n, 3) lies over, NaN where there is none, and x, y (n, 2) from
+        its middle [m]."""
         out = np.full((len(points), 5), np.nan)
         at = (points[:, :2] - self._corner) / self._side
         cell = np.floor(at).astype(np.int64)
@@ -171,8 +175,9 @@ class Ground:
 
 
 def _squares(z: NDArray[np.floating], k: int, res: float) -> NDArray[np.float32]:
-    """(rows, cols, 5) of the squares of k x k cells z (rows k, cols k) [m]: lowest and highest height in and beside it, infinite where none is
-    known, height in its middle, slopes along x and y; NaN where the square is not known wholly or not even.
+    """(rows, cols, 5) of the squares of k x k cells z (rows k, cols k) [m]: lowest and highest height in and beside it,
+    infinite where none is known, height in its middle, slopes along x and y; NaN where the square is not known wholly
+    or not even.
     """
     rows, cols = (n // k for n in z.shape)
     low, high = np.where(np.isnan(z), np.inf, z), np.where(np.isnan(z), -np.inf, z)
@@ -227,7 +232,8 @@ def pose_of(place: Place) -> NDArray[np.float64]:
 
 @njit(cache=True)
 def pierced(eyes, ends, surfaces, normals, table, keys, voxel):  # pragma: no cover - compiled
-    """(m,) bool: through which surfaces, points (m, 3) with normals (m, 3) found by their voxels, a ray from eyes to ends (n, 3) passes."""
+    """(m,) bool: through which surfaces, points (m, 3) with normals (m, 3) found by their voxels, a ray from eyes to
+    ends (n, 3) passes."""
     out = np.zeros(len(surfaces), np.bool_)
     for n in range(len(ends)):
         dx, dy, dz = ends[n, 0] - eyes[n, 0], ends[n, 1] - eyes[n, 1], ends[n, 2] - eyes[n, 2]

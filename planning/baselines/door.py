@@ -1,7 +1,7 @@
 """The door for planners of others: the project's baselines and those of users come in by the same name.
 
-A planner is a function `(grid: ElevationGrid, request: PlanRequest) -> Plan`, or the line it found as an array (n, 2) or (n, 3) [m]. Its name
-is `package.module:function`, or that of an entry point of the group `rbtrg.planners`.
+A planner is a function `(grid: ElevationGrid, request: PlanRequest) -> Plan`, or the line it found as an array (n, 2)
+or (n, 3) [m]. Its name is `package.module:function`, or that of an entry point of the group `rbtrg.planners`.
 """
 
 from __future__ import annotations

@@ -22,7 +22,8 @@ class Cells:
     Attributes:
         flags: (rows, cols) uint16 of the map's cells, see `planning.graph.flags`.
         faces: (rows, cols, 2) int16 rise along x and y [mm], see `planning.graph.faces`.
-        drawn: (ny, nx) int16 which of the samples the candidates of a lattice cell are from; 0 until others are drawn there (`Lattice.redraw`).
+        drawn: (ny, nx) int16 which of the samples the candidates of a lattice cell are from; 0 until others are drawn
+        there (`Lattice.redraw`).
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
         frontier, headings: (ny, nx) as in `TraversalGraph`; turn_price: (ny, nx, 2).

@@ -1,4 +1,5 @@
-"""What the corrected graph knows about a node beside its place: frontier, headings that fit, edges in a turn, sight of the robot."""
+"""What the corrected graph knows about a node beside its place: frontier, headings that fit, edges in a turn, sight of
+the robot."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 WHEEL_RING = (0.15, 0.36)
 """Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
 NOISE, MOST_NOISE = 3.5, 0.02
-"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five. More [m] is no noise of the map, but
-rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
+"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five. More [m] is
+no noise of the map, but rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
 EDGE_BASE = 0.12
 """Distance over which an edge under the wheels is measured [m]."""
 UNKNOWN_RUN = 0.20
@@ -121,9 +122,9 @@ def turn_is_free(headings, yaw_in, turn):
 def turn_ground(height, trusted, x0, y0, res, x, y, climbed):
     """Highest edge [m] where the wheels go in a turn on the spot, and the slope [m/m] of the ground there.
 
-    An edge is a rise over `EDGE_BASE` less the ground's own slope. Along x and along y, between means of about 5 cm. The
-    slope is the median of all the rises, so neither a ramp nor part of a plate counts; what the map's noise makes of even
-    ground is taken off. What is higher than `climbed` [m] is a wall, beside which a turn has room or not.
+    An edge is a rise over `EDGE_BASE` less the ground's own slope. Along x and along y, between means of about 5 cm.
+    The slope is the median of all the rises, so neither a ramp nor part of a plate counts; what the map's noise makes
+    of even ground is taken off. What is higher than `climbed` [m] is a wall, beside which a turn has room or not.
     """
     rows, cols = height.shape
     stride = max(1, round(0.04 / res))

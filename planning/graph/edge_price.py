@@ -1,8 +1,8 @@
 """Price of a straight move: what its four wheels cross and stand on, by the prices of the controller.
 
-A wheel that rises or falls over a face makes a quarter of a crossing: a kerb under all wheels is one crossing, one under
-the left wheels is half of one. A crossing belongs to the move in whose part of the wheel's track its middle lies, so
-moves that follow each other in a line count it once.
+A wheel that rises or falls over a face makes a quarter of a crossing: a kerb under all wheels is one crossing, one
+under the left wheels is half of one. A crossing belongs to the move in whose part of the wheel's track its middle lies,
+so moves that follow each other in a line count it once.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ LEAST_FACE = 0.03
 HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
 """Higher ones [m] are walls, which a move stays off."""
 BEYOND = 0.50
-"""A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole, and the tread
-beyond it."""
+"""A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole, and the
+tread beyond it."""
 SHORTEST = 0.06
 """A wheel meets no more than one face, and no more than one gap, each so many [m]."""
 EVEN_TAN = math.tan(math.radians(5.0))
@@ -35,8 +35,8 @@ NO_SIGN, UP, DOWN = 0, 1, 2
 
 @njit(cache=True)
 def face_normal(faces, res, r, c):
-    """Unit vector of the normal of the face at a cell, uphill: one cell tells it to 45 deg, because both parts of a step
-    that lies askew are as high as the step. Those around it that rise the same way tell it to 2 deg."""
+    """Unit vector of the normal of the face at a cell, uphill: one cell tells it to 45 deg, because both parts of a
+    step that lies askew are as high as the step. Those around it that rise the same way tell it to 2 deg."""
     rows, cols, _ = faces.shape
     n = round(BASE / res)
     fx, fy = float(faces[r, c, 0]), float(faces[r, c, 1])
@@ -63,10 +63,10 @@ def room_for(d):
 def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps):
     """What a wheel crosses that goes straight from xw, yw [m] along the unit vector ux, uy for `d` [m].
 
-    Into `crossed` (k, 4): place along the track [m], height of the face [m] (negative: down), angle between way and normal
-    [rad], depth of the tread [m] (0: no stairs); into `gaps` (k, 2): place along the track and width [m]. Both have
-    `room_for` rows and hold what has its middle in the move.
-    Returns how many there are of each, the share of the track in a stepfield, and the height of its highest post [m].
+    Into `crossed` (k, 4): place along the track [m], height of the face [m] (negative: down), angle between way and
+    normal [rad], depth of the tread [m] (0: no stairs); into `gaps` (k, 2): place along the track and width [m]. Both
+    have `room_for` rows and hold what has its middle in the move. Returns how many there are of each, the share of the
+    track in a stepfield, and the height of its highest post [m].
     """
     rows, cols = height.shape
     step = 0.5 * res

@@ -12,7 +12,8 @@ from planning.graph.flags import ASSUMED, FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN
 from planning.graph.risk import F32, edge_risk
 
 MARGIN = 0.02
-"""The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
+"""The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks
+exactly."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -22,10 +23,11 @@ SLOPE_BASE = 0.42
 SLOPE_TOLERANCE = 1.05
 """Factor on the tangent of the slope limit, for map noise."""
 VIRTUAL_RISK = 4.0 / 3.0
-"""Added to the native risk of an edge whose whole corridor is virtual: with sigma = 3 a metre of it costs as much as five metres of
-seen ground."""
+"""Added to the native risk of an edge whose whole corridor is virtual: with sigma = 3 a metre of it costs as much as
+five metres of seen ground."""
 PLANTS_RISK = 0.5
-"""The same of an edge whose whole corridor is grass: a metre counts as 2.5, as it is driven at 0.2 instead of 0.5 m/s."""
+"""The same of an edge whose whole corridor is grass: a metre counts as 2.5, as it is driven at 0.2 instead of 0.5 m/s.
+"""
 
 
 @njit(cache=True)
@@ -53,8 +55,8 @@ def row_span(y, xa, ya, ux, uy, lo, hi, half):
 
 @njit(cache=True)
 def _covered(flags, x0, y0, res, xa, ya, ux, uy, end, front, half, r_lo, r_hi):
-    """All flags under the corridor that begins `front` behind a and ends `end` ahead of it. Most edges end here, so this is a loop that runs in
-    vector registers."""
+    """All flags under the corridor that begins `front` behind a and ends `end` ahead of it. Most edges end here, so
+    this is a loop that runs in vector registers."""
     cols = flags.shape[1]
     met = np.uint16(0)
     for r in range(r_lo, r_hi + 1):
@@ -87,14 +89,17 @@ def corridor(
     sums,
     stood=False,
 ):
-    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for
-    the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and for
+    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk:
+    for
+    the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and
+    for
     the share of its area that is grass.
 
-    Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a hole for more than
-    `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
-    steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
-    `sums` is scratch, (sections, 9) float64. `stood`: the robot stands at a along u, so the ground under it there is not too steep, whatever the map says.
+    Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a
+    hole for more than `max_gap` (a crack is driven across, not along), every cross-section seen to at least
+    `min_coverage`, and nowhere steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map
+    is not seen. `sums` is scratch, (sections, 9) float64. `stood`: the robot stands at a along u, so the ground under
+    it there is not too steep, whatever the map says.
     """
     rows, cols = height.shape
     dx = xb - xa
@@ -196,8 +201,8 @@ def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
 
 @njit(cache=True)
 def _not_steep(sums, n, limit, track, under):
-    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips. What lies within the first `under`
-    sections is not judged."""
+    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips. What
+    lies within the first `under` sections is not judged."""
     ahead = round(SLOPE_BASE / SECTION)
     reach = round(0.5 * SMOOTH / SECTION)
     for i in range(max(1, n - ahead)):

@@ -1,10 +1,10 @@
 """Faces: how high and which way the ground rises within a hand's breadth, per cell. They are better crossed head-on.
 
-A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides, or that goes on evenly
-to one side: a ridge is no face. What is so steep that wheels slide down sideways is one, and as high as it goes on: along it, one side of the robot on the
-foot of a ramp of 45 deg, robots slid 0.2 m aside. Its direction
-is the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its whole height in
-both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags` judges that.
+A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides, or that
+goes on evenly to one side: a ridge is no face. What is so steep that wheels slide down sideways is one, and as high as
+it goes on: along it, one side of the robot on the foot of a ramp of 45 deg, robots slid 0.2 m aside. Its direction is
+the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its whole height
+in both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags` judges that.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ EVEN = 0.7
 STEEPEST = 0.7
 """From here [m/m] on it is no slope: stairs rise evenly as well, and tyres with a friction of 0.7 slide."""
 FACE_NOISE = 0.03
-"""[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs is a wall."""
+"""[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs
+is a wall."""
 
 
 @njit(cache=True)

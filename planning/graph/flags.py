@@ -1,9 +1,9 @@
 """Per-cell terrain flags of the corrected graph: faces too high to drive over, ground that was not seen.
 
 A ramp is a slope over the length of the robot, a step is a height difference over a hand's breadth. Steps are measured
-between cells `BASE` apart, in four directions, averaged along the edge of the step (so noise averages out and a wall one
-cell thick stays), less the slope that the ground has on BOTH sides of the step (so a ramp is no step, and a ledge at the
-foot of a ramp keeps its height).
+between cells `BASE` apart, in four directions, averaged along the edge of the step (so noise averages out and a wall
+one cell thick stays), less the slope that the ground has on BOTH sides of the step (so a ramp is no step, and a ledge
+at the foot of a ramp keeps its height).
 """
 
 from __future__ import annotations
@@ -30,16 +30,18 @@ ASSUMED = 16
 HOLE = 32
 """Below what it is bridged at by more than the step limit: driven across, not along (`planning.graph.edges`)."""
 TIP = 64
-"""Bridged, but the tip of a wide pit's corner, or a hole that the map tells to be too wide (`ElevationGrid.holes`): nothing of the robot goes over it."""
+"""Bridged, but the tip of a wide pit's corner, or a hole that the map tells to be too wide (`ElevationGrid.holes`):
+nothing of the robot goes over it."""
 JUDGED = 128
 """The cell was trusted when it was looked at last: what it was found to be counts (`keep_step`)."""
 VIRTUAL = 256
-"""Part of an unseen patch wider than the gap limit over which rays passed low (`ElevationGrid.virtual`): planned over at a
-price, driven on only when it was seen."""
+"""Part of an unseen patch wider than the gap limit over which rays passed low (`ElevationGrid.virtual`): planned over
+at a price, driven on only when it was seen."""
 POSTS = 512
 """Part of a stepfield whose posts are too high (`planning.graph.fields`)."""
 FIELD = 1024
-"""Part of a stepfield with posts of more than a third of what is driven through: planned over at a price (`planning.graph.edges`)."""
+"""Part of a stepfield with posts of more than a third of what is driven through: planned over at a price
+(`planning.graph.edges`)."""
 
 PLANTS = 2048
 """Ground under leaves (`ElevationGrid.plants`): driven on slowly, at a price (`planning.graph.edges`)."""
@@ -49,8 +51,8 @@ BASE = 0.12
 LATERAL = 0.10
 """Length along the step over which it is averaged [m]."""
 STEP_TOLERANCE = 0.015
-"""A step this much above the limit is still within it [m]: three sigma of an averaged step on a 1 cm noise map, so that a
-kerb of exactly the limit is not blocked here and there."""
+"""A step this much above the limit is still within it [m]: three sigma of an averaged step on a 1 cm noise map, so that
+a kerb of exactly the limit is not blocked here and there."""
 OUTLIER = 0.06
 """One cell alone may be this far off [m] (scan returns at edges are, by 3-5 cm)."""
 WIDE = 2.4
@@ -86,8 +88,8 @@ def update_flags(
 ) -> None:
     """Recompute `flags` (rows, cols) inside `window` (row0, col0, row1, col1), block by block to stay in cache.
 
-    Ground that was found drivable stays so up to a step of `max_step + keep_step`; what was found too high must come down
-    to `max_step`. So the noise of the map does not open and close a way over a face near the limit.
+    Ground that was found drivable stays so up to a step of `max_step + keep_step`; what was found too high must come
+    down to `max_step`. So the noise of the map does not open and close a way over a face near the limit.
     """
     rows, cols = height.shape
     pad = halo(res, max_gap)
@@ -107,7 +109,8 @@ def update_flags(
 
 @njit(cache=True)
 def _put(flags, enter, stay, trusted):
-    """Write freshly computed flags: `stay` where the ground was found drivable, `enter` elsewhere; what was assumed stays so."""
+    """Write freshly computed flags: `stay` where the ground was found drivable, `enter` elsewhere; what was assumed
+    stays so."""
     rows, cols = flags.shape
     for r in range(rows):
         for c in range(cols):
@@ -124,7 +127,8 @@ def _put(flags, enter, stay, trusted):
 
 @njit(cache=True)
 def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap, pit):
-    """Flags (2, rows, cols) uint16 of a map or a piece of one: up to steps of `max_step`, and of `max_step + keep_step` [m].
+    """Flags (2, rows, cols) uint16 of a map or a piece of one: up to steps of `max_step`, and of `max_step + keep_step`
+    [m].
 
     Cells nearer than `halo` to a cut border are not reliable.
     """
@@ -177,8 +181,8 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
 
 @njit(cache=True)
 def _mark_steps(flags, z, diff, trusted, below, dr, dc, n, side, limit, slope_cap):
-    """Mark both sides of the steps above `limit` [m] along (dr, dc); `diff`: the rise over n cells from each; `below`: where heights are
-    bounds from above."""
+    """Mark both sides of the steps above `limit` [m] along (dr, dc); `diff`: the rise over n cells from each; `below`:
+    where heights are bounds from above."""
     rows, cols = z.shape
     lr = dc
     lc = -dr
@@ -253,8 +257,8 @@ def _rises(out, low, high):
 
 @njit(cache=True)
 def _mean(diff, r, c, lr, lc, side, limit):
-    """Mean of the rises `diff` along the edge of a step, `side` cells to both sides along (lr, lc). A low rise counts by itself: averaged where the cell
-    does not see a good part of the step, the face would be misplaced."""
+    """Mean of the rises `diff` along the edge of a step, `side` cells to both sides along (lr, lc). A low rise counts
+    by itself: averaged where the cell does not see a good part of the step, the face would be misplaced."""
     if abs(diff[r, c]) <= 0.5 * limit:
         return diff[r, c]
     rows, cols = diff.shape
@@ -273,9 +277,9 @@ def _mean(diff, r, c, lr, lc, side, limit):
 def _mark_tips(z, wide, height, flags, gap, limit):
     """Mark the bridged tips of a wide pit's corners: the robot has to go around them, as around the pit.
 
-    A pit is wide (`WIDE`) when a larger closing, `wide`, leaves a floor in it; the holes of a stepfield are not, and their
-    neighbours may be crossed. Of what is bridged, that within a gap's width of the floor is a tip; beyond it a crack
-    leads away, which may be crossed too.
+    A pit is wide (`WIDE`) when a larger closing, `wide`, leaves a floor in it; the holes of a stepfield are not, and
+    their neighbours may be crossed. Of what is bridged, that within a gap's width of the floor is a tip; beyond it a
+    crack leads away, which may be crossed too.
     """
     rows, cols = z.shape
     cells = [(0, 0) for _ in range(0)]

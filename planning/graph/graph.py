@@ -124,7 +124,8 @@ class TraversalGraph:
         risk: NDArray[np.floating],
         frontier: NDArray[np.bool_] | None = None,
     ) -> TraversalGraph:
-        """A graph from arrays: nodes (n, 3) [m], undirected edges (m, 2), risk (m,), the same there and back. It cannot be updated."""
+        """A graph from arrays: nodes (n, 3) [m], undirected edges (m, 2), risk (m,), the same there and back. It cannot
+        be updated."""
         nodes = np.ascontiguousarray(nodes, dtype=np.float64)
         edges = np.asarray(edges)
         risk = np.asarray(risk, dtype=np.float32)
@@ -201,7 +202,8 @@ class TraversalGraph:
         node_revision: NDArray[Any],
         edge_revision: NDArray[Any],
     ) -> None:
-        """Set all public arrays from an undirected edge list (m, 2), its price (m, 2, 2) there and back, and raise `version`."""
+        """Set all public arrays from an undirected edge list (m, 2), its price (m, 2, 2) there and back, and raise
+        `version`."""
         n = len(nodes)
         source = np.concatenate([edges[:, 0], edges[:, 1]]).astype(np.int64)
         target = np.concatenate([edges[:, 1], edges[:, 0]]).astype(np.int64)
@@ -235,8 +237,8 @@ class TraversalGraph:
         return np.stack([source[keep], self.indices[keep].astype(np.int64)], axis=1)
 
     def costs(self, sigma: float, *, back: bool = False) -> NDArray[np.float64]:
-        """(nnz,) [m] of each edge without the body's risk, driven forward: l (1 + sigma r) and its price; `back`: of the
-        same edge from its target to its source."""
+        """(nnz,) [m] of each edge without the body's risk, driven forward: l (1 + sigma r) and its price; `back`: of
+        the same edge from its target to its source."""
         source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
         length = np.hypot(*(self.nodes[source, :2] - self.nodes[self.indices, :2]).T)
         price = self.price[:, 0]
@@ -290,8 +292,9 @@ class TraversalGraph:
     def redrawn(
         self, grid: ElevationGrid, places: NDArray[np.floating], reach: float, sample: int
     ) -> TraversalGraph:
-        """This graph with nodes from another `sample` (0: those of the build) within `reach` [m] along x and y of each of the `places` (n, 2), on the map that it
-        was last built on; nothing of this one changes. A passage hardly wider than the robot may hold no edge of one sample.
+        """This graph with nodes from another `sample` (0: those of the build) within `reach` [m] along x and y of each
+        of the `places` (n, 2), on the map that it was last built on; nothing of this one changes. A passage hardly
+        wider than the robot may hold no edge of one sample.
         """
         if self._lattice is None or self.start_xy is None or not self.knows(grid):
             raise PlanningError("only a graph that was built on this map can be drawn anew in places")

@@ -1,7 +1,8 @@
 """The corrected graph as a function of the map, in four steps: flags, nodes, edges, describe.
 
-Everything is kept per cell (`Cells`), so that the work and the memory of an update depend on what changed and on the size
-of the map, never on how many updates came before. A part that is computed again is exactly what a full build gives.
+Everything is kept per cell (`Cells`), so that the work and the memory of an update depend on what changed and on the
+size of the map, never on how many updates came before. A part that is computed again is exactly what a full build
+gives.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from planning.graph.reachable import Built, reachable
 from planning.graph.risk import F32, window_minmax
 
 REACH = 2.0
-"""Longest edge, in lattice cells: expand_dist + robot_size, the native bound. Long edges keep narrow passages connected."""
+"""Longest edge, in lattice cells: expand_dist + robot_size, the native bound. Long edges keep narrow passages
+connected."""
 SAMPLES = 512
 """As many as node ids tell apart; the next one is the first again."""
 Array = NDArray[np.float64]
@@ -58,7 +60,8 @@ class Lattice:
         return True
 
     def redraw(self, grid: ElevationGrid, boxes: Array, sample: int, version: int) -> None:
-        """Nodes from another sample, and their edges, in the lattice cells that `boxes` touch (k, 4: x0, y0, x1, y1 [m])."""
+        """Nodes from another sample, and their edges, in the lattice cells that `boxes` touch (k, 4: x0, y0, x1, y1
+        [m])."""
         for box in boxes:
             self.cells.drawn[self.cells.within(box, 0.0)] = sample % SAMPLES
         moved, unchanged = self._nodes(grid, boxes), np.empty((0, 4))
@@ -70,7 +73,8 @@ class Lattice:
         return reachable(self.cells, grid, start, REACH * self.cells.side, before)
 
     def _flags(self, grid: ElevationGrid, windows: Sequence[Window]) -> Array:
-        """Step 1: what is a face, what was not seen. -> (k, 4) boxes x0, y0, x1, y1 [m] in which flags may have changed."""
+        """Step 1: what is a face, what was not seen. -> (k, 4) boxes x0, y0, x1, y1 [m] in which flags may have
+        changed."""
         p, cells, (rows, cols) = self.params, self.cells, grid.shape
         pad = halo(cells.res, p.max_gap)
         virtual = np.zeros(grid.shape, np.bool_) if grid.virtual is None else grid.virtual
@@ -168,7 +172,8 @@ class Lattice:
 
     @property
     def _beside(self) -> float:
-        """[m] from an edge's end within which terrain matters to it: the wheels' tracks are looked at before and after it."""
+        """[m] from an edge's end within which terrain matters to it: the wheels' tracks are looked at before and after
+        it."""
         return max(self._around, math.hypot(AXLE + BEYOND, TREAD) + self.cells.res)
 
 

@@ -20,7 +20,8 @@ Changed = NDArray[np.bool_] | Sequence[Window]
 
 
 class GraphSettings(BaseModel):
-    """Settings of the graph but for the limits of the robot. The defaults are the dense setting of the published scenes."""
+    """Settings of the graph but for the limits of the robot. The defaults are the dense setting of the published
+    scenes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -59,7 +60,8 @@ class GraphSettings(BaseModel):
 
 
 class GraphParams(GraphSettings):
-    """Settings of the graph and the limits of the robot that drives on it; the defaults suit every controller of the Go2-W."""
+    """Settings of the graph and the limits of the robot that drives on it; the defaults suit every controller of the
+    Go2-W."""
 
     max_step: float = Field(
         default=0.10,

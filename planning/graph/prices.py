@@ -1,7 +1,8 @@
 """What a controller was measured to do, as prices that the planner's kernels look up.
 
-The hazard of a motion is -ln(1 - p), with p the probability that it ends the drive (`hal.envelope`). Hazards add along a
-route, so a route's cost may hold them: `fall_cost` metres for each (`GraphParams`). What is no motion of the table costs nothing.
+The hazard of a motion is -ln(1 - p), with p the probability that it ends the drive (`hal.envelope`). Hazards add along
+a route, so a route's cost may hold them: `fall_cost` metres for each (`GraphParams`). What is no motion of the table
+costs nothing.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class Prices(NamedTuple):
     slope: Array
     """(angles, angles) [m/m] by steepness and the angle between travel and uphill."""
     turn: Array
-    """(2, sizes, angles) [m/rad] of a bend and of a turn on the spot, by the highest edge under the wheels and steepness."""
+    """(2, sizes, angles) [m/rad] of a bend and of a turn on the spot, by the highest edge under the wheels and
+    steepness."""
     posts: Array
     """(sizes,) [m/m] in a stepfield, by the height of its posts."""
     gap: Array

@@ -57,7 +57,8 @@ def components(n, edges):
 def reachable(
     cells: Cells, grid: ElevationGrid, start: tuple[float, float], reach: float, before: NDArray[np.int64]
 ) -> Built:
-    """The connected components with a node in sight within `reach` [m] of `start` x, y; where there is none, the one with most ids of `before`."""
+    """The connected components with a node in sight within `reach` [m] of `start` x, y; where there is none, the one
+    with most ids of `before`."""
     j, i = np.nonzero(cells.chosen >= 0)
     index = np.full(cells.chosen.shape, -1, dtype=np.int64)
     index[j, i] = np.arange(len(j))

@@ -37,8 +37,8 @@ class Arcs(NamedTuple):
 def arcs_of(graph: TraversalGraph, old: Arcs | None = None, was: NDArray[np.int64] | None = None) -> Arcs:
     """The graph's arrays with length, heading and opposite of every directed edge.
 
-    `was` (slots,) tells which slot of `old` is the same edge with both ends at the same place, -1 = none: what is known of these is
-    not worked out again.
+    `was` (slots,) tells which slot of `old` is the same edge with both ends at the same place, -1 = none: what is known
+    of these is not worked out again.
     """
     x = np.ascontiguousarray(graph.nodes[:, 0], dtype=np.float64)
     y = np.ascontiguousarray(graph.nodes[:, 1], dtype=np.float64)

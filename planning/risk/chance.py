@@ -6,8 +6,8 @@ them rises or falls over a face (`planning.graph.faces`) it makes a quarter of a
 all wheels is one crossing, one under the left wheels is half of one. Faces that follow each other like treads are
 stairs. Hazards add along the route.
 
-A failure is what ends a drive (`planning.graph.prices.ENDING`): the tracker leads a robot back that slid 0.1 m off its line. Ground that
-nobody saw has no hazard.
+A failure is what ends a drive (`planning.graph.prices.ENDING`): the tracker leads a robot back that slid 0.1 m off its
+line. Ground that nobody saw has no hazard.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ class Drive:
     def _crossings(self) -> Iterator[Part]:
         """Faces and gaps that the wheels cross in moves: what they meet in a turn is the turn's."""
         grid, cells, way = self._grid, self._cells, self._way
-        ground = grid.height, cells.flags, cells.faces, *grid.origin, grid.resolution
+        ground = (grid.height, cells.flags, cells.faces, *grid.origin, grid.resolution)
         for move, (a, b) in enumerate(pairwise(way.xy)):
             d = float(np.hypot(*(b - a)))
             if d == 0.0:
@@ -210,7 +210,8 @@ class Drive:
             crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))
             for wheel in WHEELS:
                 w = a + wheel[0] * u + wheel[1] * aside
-                found, holes, _, _ = wheel_track(*ground, *w, *u, d, crossed, gaps)
+                track = (float(w[0]), float(w[1]), float(u[0]), float(u[1]), d)
+                found, holes, _, _ = wheel_track(*ground, *track, crossed, gaps)
                 for at, size, angle, tread in crossed[:found].tolist():
                     body, place = a + at * u, w + at * u
                     h, what = self._face(body, w, u, at, size, angle, 0.0 if back else tread, back)
@@ -230,8 +231,8 @@ class Drive:
         tread: float,
         back: bool,
     ) -> tuple[float, str]:
-        """Hazard of a crossing by all wheels, and what it is in words. `body`: where it is then; the wheel goes from `wheel`
-        along `u` and crosses a face `size` [m] high after `at` [m], `angle` [rad] to its normal."""
+        """Hazard of a crossing by all wheels, and what it is in words. `body`: where it is then; the wheel goes from
+        `wheel` along `u` and crosses a face `size` [m] high after `at` [m], `angle` [rad] to its normal."""
         slope = math.atan(float(np.hypot(*self._slopes(np.array([[*body, math.atan2(u[1], u[0])]]))[0])))
         sigma = 0.0
         if self._grid.variance is not None:

@@ -18,8 +18,8 @@ _STEP = np.pi / HEADINGS
 
 @njit(cache=True)
 def turn_cost(bend: float, spin: float, turn: float, each: float) -> float:
-    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `bend` or `spin` [m/rad] for what is
-    under the wheels (`TraversalGraph.turn_price`)."""
+    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `bend` or `spin` [m/rad] for
+    what is under the wheels (`TraversalGraph.turn_price`)."""
     size = abs(turn)
     if size <= BEND:
         return each * size + bend * max(size - ASKEW, 0.0)

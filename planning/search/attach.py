@@ -1,8 +1,9 @@
 """Start and goal as nodes: real poses, joined to the graph by the test that its own edges passed.
 
-A plan then begins where the robot stands and ends where it was sent, and its first leg, first turn, last leg and last turn
-are checked and priced like all others. Only a graph that was built on its map (`TraversalGraph.cells`) can do that; on
-others (native, made from edges, loaded and not updated yet) endpoints snap to the nearest node, as in the paper.
+A plan then begins where the robot stands and ends where it was sent, and its first leg, first turn, last leg and last
+turn are checked and priced like all others. Only a graph that was built on its map (`TraversalGraph.cells`) can do
+that; on others (native, made from edges, loaded and not updated yet) endpoints snap to the nearest node, as in the
+paper.
 """
 
 from __future__ import annotations
@@ -84,7 +85,8 @@ def there(moves: NDArray[np.float32], back: NDArray[np.bool_]) -> NDArray[np.flo
 def _around(
     cells: Cells, x: float, y: float, reach: float
 ) -> tuple[slice, slice, NDArray[np.float64], NDArray[np.float64]]:
-    """The cells within `reach` [m] of x, y: their rows and columns, and how far off each of them lies along x and y [m]."""
+    """The cells within `reach` [m] of x, y: their rows and columns, and how far off each of them lies along x and y
+    [m]."""
     (x0, y0), (rows, cols), res = cells.origin, cells.shape, cells.res
     r0, r1 = max(0, math.floor((y - reach - y0) / res)), min(rows, math.ceil((y + reach - y0) / res) + 1)
     c0, c1 = max(0, math.floor((x - reach - x0) / res)), min(cols, math.ceil((x + reach - x0) / res) + 1)
@@ -138,9 +140,9 @@ class Ground:
         return abs(math.sin(math.atan2(b[1] - a[1], b[0] - a[0]) - self._stand[2])) < math.sin(ALONG)
 
     def moves(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n - 1, 5) of the straight moves between places (n, 2), each at most `reach` from the next: native risk, then the
-        prices [m] there driven forward and backward, and back driven forward and backward. Risk is negative where a move
-        cannot be driven, and after the first such one."""
+        """(n - 1, 5) of the straight moves between places (n, 2), each at most `reach` from the next: native risk, then
+        the prices [m] there driven forward and backward, and back driven forward and backward. Risk is negative where a
+        move cannot be driven, and after the first such one."""
         p, c = self.graph.params, self._cells
         ground = (self._grid.height, self._xs, self._ys, self._flags, self._cells.faces, *c.origin, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, F32(p.robot_size))
@@ -151,7 +153,8 @@ class Ground:
         return out
 
     def headings(self, xy: NDArray[np.float64]) -> NDArray[np.uint64]:
-        """(n,) `TraversalGraph.free_headings` at places (n, 2), less those that a turn of the robot from where it stands would come to and the guard holds."""
+        """(n,) `TraversalGraph.free_headings` at places (n, 2), less those that a turn of the robot from where it
+        stands would come to and the guard holds."""
         p, c = self.graph.params, self._cells
         out: NDArray[np.uint64] = _headings(self._flags, *c.origin, c.res, xy, p.length, p.width)
         if any(self._held) and self._stand is not None and not math.isnan(self._stand[2]):
@@ -161,7 +164,8 @@ class Ground:
         return out
 
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
-        """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
+        """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside
+        the robot."""
         return guarded_turn(self._grid, self.graph.params, xy, yaw, turn, spare)
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
@@ -186,12 +190,13 @@ class Ground:
         )
 
     def held(self, xy: XY, yaw: float) -> bool:
-        """Whether the guard held a turn of the robot, or by the map lets it turn by less than what is driven as a bend, to one side at least."""
+        """Whether the guard held a turn of the robot, or by the map lets it turn by less than what is driven as a bend,
+        to one side at least."""
         return any(self._held) or any(self.guarded_turn(xy, yaw, turn, 0.0) < BEND for turn in (BEND, -BEND))
 
     def ahead(self, xy: XY, yaw: float) -> list[Spot]:
-        """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all moves but those along its heading sweep the
-        wall, and the graph may have no node there."""
+        """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all
+        moves but those along its heading sweep the wall, and the graph may have no node there."""
         out = []
         for way in AHEAD:
             for aside in ASIDE:
@@ -212,7 +217,8 @@ class Ground:
         return out
 
     def may_join(self, places: NDArray[np.float64]) -> bool:
-        """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to be avoided."""
+        """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to
+        be avoided."""
         length = np.hypot(*np.diff(places, axis=0).T)
         return bool(((length > SAME) & (length <= self.reach)).all()) and self.graph.allows(places)
 

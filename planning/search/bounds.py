@@ -1,8 +1,8 @@
 """Lower bounds that guide the search over pairs: what it costs to come to a node, and from a state to the goal.
 
-Nearly all time of a query goes into evaluating pose sets, those of turns above all, and each state a search expands has about
-twenty turns. So two searches that evaluate no turn come first. Both are exact in what they count; their results are
-never above the true cost, and consistent.
+Nearly all time of a query goes into evaluating pose sets, those of turns above all, and each state a search expands has
+about twenty turns. So two searches that evaluate no turn come first. Both are exact in what they count; their results
+are never above the true cost, and consistent.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ def cost_to_come(
 ) -> tuple[float, np.ndarray]:
     """Least cost from `start` over an end, without turns, and (nodes,) from `start` to each node: lazy A*.
 
-    No `exit_cost` (nodes,) is less than the way to (gx, gy) is long. The search stops at the best end. What was not settled by
-    then costs, together with the straight line to (gx, gy), at least as much; that is its bound. inf: no end can be reached.
+    No `exit_cost` (nodes,) is less than the way to (gx, gy) is long. The search stops at the best end. What was not
+    settled by then costs, together with the straight line to (gx, gy), at least as much; that is its bound. inf: no end
+    can be reached.
     """
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, _, risk, _, price, _ = arcs
@@ -114,7 +115,8 @@ class ToGo(NamedTuple):
     """A search backward from the ends: what it knows of each state."""
 
     h: NDArray[np.float64]
-    """(states,) cost from where each state ends over an end [m], inf: not reached. Exact but for the risk of turns where it is settled."""
+    """(states,) cost from where each state ends over an end [m], inf: not reached. Exact but for the risk of turns
+    where it is settled."""
     settled: NDArray[np.bool_]
     """(states,)"""
 
@@ -172,10 +174,12 @@ def cost_to_go(
     heap: Heap,
     limit: float,
 ) -> tuple[float, Heap]:
-    """Go on settling states until each that may be on a route as cheap as `limit` [m] is settled: A* backward, without the risk of turns.
+    """Go on settling states until each that may be on a route as cheap as `limit` [m] is settled: A* backward, without
+    the risk of turns.
 
-    With `limit` inf it stops at the cheapest route. Returns what that costs as far as it was seen (inf: none was), and what is left to settle.
-    A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`.
+    With `limit` inf it stops at the cheapest route. Returns what that costs as far as it was seen (inf: none was), and
+    what is left to settle. A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of
+    `cost_to_come`.
     """
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, price, turn_price = arcs
@@ -257,7 +261,8 @@ def least_cost(w, length, risk, price, edge, out) -> float:
 
 @njit(cache=True)
 def turn_between(room, price, heading, before, out, change, turning) -> float:
-    """What the turn from slot `before` to slot `out` costs beyond its risk [m]; inf: no room. `change`: with the other end ahead after it."""
+    """What the turn from slot `before` to slot `out` costs beyond its risk [m]; inf: no room. `change`: with the other
+    end ahead after it."""
     d = turn_angle(heading[before], heading[out] + (np.pi if change else 0.0))
     return turn_cost(price[0], price[1], d, turning) if turn_is_free(room, heading[before], d) else np.inf
 

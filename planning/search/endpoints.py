@@ -111,7 +111,8 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
 
 
 def places_ahead(table: RiskTable, request: PlanRequest, astride: bool) -> list[Spot]:
-    """Places along the heading of a start (`Ground.ahead`) at which the robot stands `astride` a face, or else the guard hardly lets it turn; none of another start."""
+    """Places along the heading of a start (`Ground.ahead`) at which the robot stands `astride` a face, or else the
+    guard hardly lets it turn; none of another start."""
     if is_node(request.start) or request.start_yaw is None or not table.graph.knows(table.grid):
         return []
     start, yaw = position(table.graph, request.start, "start"), request.start_yaw
@@ -253,7 +254,8 @@ def goal_node(graph: TraversalGraph, grid: ElevationGrid, goal: Place, allow_fro
 
 
 def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], allow_frontier: bool) -> bool:
-    """What a goal is that no node is near to. -> True: seen and no obstacle; False: not seen. Raises NoRoute for the rest."""
+    """What a goal is that no node is near to. -> True: seen and no obstacle; False: not seen. Raises NoRoute for the
+    rest."""
     where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
     ground = ground_at(grid, xy, graph.params.max_step, _DISC)
     exact = graph.cells is not None

@@ -92,7 +92,8 @@ class Route:
         )
 
     def yaws(self, first: int, last: int) -> NDArray[np.float64]:
-        """(last - first + 2,) heading of the body [rad] before transition `first`, along each from there on, and after `last` - 1; NaN = any."""
+        """(last - first + 2,) heading of the body [rad] before transition `first`, along each from there on, and after
+        `last` - 1; NaN = any."""
         a, b = max(first - 1, 0), min(last + 1, len(self.risk))
         along = np.arctan2(*np.diff(self.xy[a : b + 1], axis=0).T[::-1]) + np.pi * self.back[a:b]
         before = [self.start_yaw] if first == 0 else []

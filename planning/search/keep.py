@@ -1,7 +1,7 @@
 """Keeping the route that is driven: what is left of it stays unless the new one is clearly better.
 
-Two searches on almost the same map from places a step apart find routes that cost almost the same and look different. A robot
-that changes between them turns instead of driving.
+Two searches on almost the same map from places a step apart find routes that cost almost the same and look different. A
+robot that changes between them turns instead of driving.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ STRIP = 0.5
 
 
 def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
-    """The rest of `request.driven` where it leads to where `found` leads, can still be driven and costs little more; else `found`."""
+    """The rest of `request.driven` where it leads to where `found` leads, can still be driven and costs little more;
+    else `found`."""
     if at.ground is None or not len(found.transitions):
         return found
     nodes, body = at.table.graph.nodes, at.table.body
@@ -57,8 +58,8 @@ def rest(
     start_yaw: float,
     goal_yaw: float,
 ) -> Route | None:
-    """The rest of `request.driven` as a route between two of the `nodes` (n, 3), `ends` at `places` [m], tested and evaluated on the map of now; None where it cannot be driven or ends
-    elsewhere."""
+    """The rest of `request.driven` as a route between two of the `nodes` (n, 3), `ends` at `places` [m], tested and
+    evaluated on the map of now; None where it cannot be driven or ends elsewhere."""
     driven = request.driven
     if driven is None:
         return None
@@ -107,7 +108,8 @@ def nearest(nodes: NDArray[np.float64], places: NDArray[np.float64]) -> list[int
 
 @njit(cache=True)
 def _within(nodes: np.ndarray, places: np.ndarray, reach: float) -> np.ndarray:
-    """The same of the nodes nearer than `reach` [m], -1 where there is none. `places` rise with x: on a large map nearly all nodes are far from all of them."""
+    """The same of the nodes nearer than `reach` [m], -1 where there is none. `places` rise with x: on a large map
+    nearly all nodes are far from all of them."""
     out = np.full(len(places), -1, np.int64)
     least = np.full(len(places), reach)
     for k in range(len(nodes)):

@@ -1,11 +1,11 @@
 """A* over ordered pairs of nodes for the body-aware cost.
 
-A state is a directed edge (i, j), driven forward or backward: twice its CSR slot, plus one if backward. Nearly all time goes into evaluating pose sets, so the
-search is lazy: what enters the queue has a lower bound of its cost, its pose sets are evaluated when it comes up, and
-it goes back if that made it dearer. Two searches without the pose sets of turns come first (`planning.search.bounds`): what is
-left of their bound is only the risk of turns, so few turns are evaluated. The optimum is the one of
-Dijkstra over pairs; the bounds are never above the true cost. Evaluations are kept in tables, NaN = not yet. Paper:
-eq. 3-5.
+A state is a directed edge (i, j), driven forward or backward: twice its CSR slot, plus one if backward. Nearly all time
+goes into evaluating pose sets, so the search is lazy: what enters the queue has a lower bound of its cost, its pose
+sets are evaluated when it comes up, and it goes back if that made it dearer. Two searches without the pose sets of
+turns come first (`planning.search.bounds`): what is left of their bound is only the risk of turns, so few turns are
+evaluated. The optimum is the one of Dijkstra over pairs; the bounds are never above the true cost. Evaluations are kept
+in tables, NaN = not yet. Paper: eq. 3-5.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ REACHED, CLOSED = 1, 2
 
 
 class Guide(NamedTuple):
-    """The bounds of one query. A search without some of the turns may be led by those of the search with them: they are never above its costs."""
+    """The bounds of one query. A search without some of the turns may be led by those of the search with them: they are
+    never above its costs."""
 
     arcs: Arcs
     come: NDArray[np.float64]
@@ -49,7 +50,8 @@ class Guide(NamedTuple):
     go: ToGo
     heap: Heap
     least: float
-    """[m] A route costs at least so much, and each state that may be on one that costs no more is settled; inf: there is none."""
+    """[m] A route costs at least so much, and each state that may be on one that costs no more is settled; inf: there
+    is none."""
 
 
 @njit(cache=True)
@@ -83,12 +85,13 @@ def _nearly(cost: float) -> float:
 def search_pairs(
     sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, guide: Guide, most: int
 ) -> tuple[float, np.ndarray, int, np.ndarray, Guide]:
-    """Route over ordered pairs to the end node with the least cost plus `Asked.exit_cost`. `guide` may be of arcs with more room to turn.
+    """Route over ordered pairs to the end node with the least cost plus `Asked.exit_cost`. `guide` may be of arcs with
+    more room to turn.
 
-    The footprint is the same turned by half a turn, so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or
-    with the other.
-    Returns the cost of the route (inf: none over the states that `guide` settled, or more than `most` looked at), its states, the number of expanded states, `tables.turns`, which may
-    have grown, and the guide, which knows more.
+    The footprint is the same turned by half a turn, so an edge has one evaluation and a turn two: with the same end of
+    the body ahead after it, or with the other. Returns the cost of the route (inf: none over the states that `guide`
+    settled, or more than `most` looked at), its states, the number of expanded states, `tables.turns`, which may have
+    grown, and the guide, which knows more.
     """
     # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on a cheaper one.
     before, come, go, heap, least = guide
@@ -116,7 +119,8 @@ def _forward(
     limit: float,
     limited: int,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
-    """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result as of `search_pairs`."""
+    """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result
+    as of `search_pairs`."""
     start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
     ways = 1 if np.isinf(backward) else 2
     none = np.empty(0, np.int64)

@@ -50,10 +50,12 @@ __all__ = [
 ]
 
 NEARER = 0.5
-"""A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the robot stands: what blocks
-the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
+"""A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the
+robot stands: what blocks the way is judged from so far. With less the robot drove to and fro before a slope, and
+against it."""
 TWICE = 2.0
-"""See `_gives_way`. With any gain the robot left the way to the yard's platform for frontiers beside it (37 s instead of 22)."""
+"""See `_gives_way`. With any gain the robot left the way to the yard's platform for frontiers beside it (37 s instead
+of 22)."""
 HELD_TURNS = 12
 """Searches for a way of whose turns the guard holds none."""
 
@@ -67,9 +69,9 @@ def plan(
 ) -> Plan:
     """The cheapest route for `request`.
 
-    `table` carries evaluations from earlier queries on the same graph, map and body; the result does not depend
-    on it. A turn that the guard held (`PlanRequest.held`) is part of it only where there is no other way. Raises NoRoute with a reason when there is
-    none, PlanningError when an argument makes no sense.
+    `table` carries evaluations from earlier queries on the same graph, map and body; the result does not depend on it.
+    A turn that the guard held (`PlanRequest.held`) is part of it only where there is no other way. Raises NoRoute with
+    a reason when there is none, PlanningError when an argument makes no sense.
     """
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
@@ -82,7 +84,8 @@ def plan(
 
 
 def _found(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
-    """The route that a search finds: astride a face, and a second time where there is no other way, with places along the robot's heading."""
+    """The route that a search finds: astride a face, and a second time where there is no other way, with places along
+    the robot's heading."""
     ahead = places_ahead(table, request, astride=True)
     try:
         return _searched(table, request, start_yaw, goal_yaw, ahead)
@@ -228,8 +231,9 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
 
 
 def _gives_way(at: Endpoints, found: Plan, other: Plan) -> bool:
-    """Whether a plan to the goal gives way to the one to a frontier. One that leads into a stepfield does where it is dearer, one over ground that nobody saw where
-    it is twice as dear although its unseen ground counts as free, as what lies beyond a frontier does: the way beyond may be blocked.
+    """Whether a plan to the goal gives way to the one to a frontier. One that leads into a stepfield does where it is
+    dearer, one over ground that nobody saw where it is twice as dear although its unseen ground counts as free, as what
+    lies beyond a frontier does: the way beyond may be blocked.
     """
     if enters_field(at.table.graph, found.points):
         return not worth_keeping(found.worth, other.worth)
@@ -245,8 +249,8 @@ def _gives_way(at: Endpoints, found: Plan, other: Plan) -> bool:
 def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
     """The plan towards a seen goal that nothing leads to: what blocks it from afar may be the map's error.
 
-    Towards is along the way that walls leave open, so that the robot comes to what blocks it, not to the wall that the goal lies behind.
-    From near it is judged: there the plan ends for good.
+    Towards is along the way that walls leave open, so that the robot comes to what blocks it, not to the wall that the
+    goal lies behind. From near it is judged: there the plan ends for good.
     """
     nodes = at.table.graph.nodes[:, :2]
     goal = position(at.table.graph, request.goal, "goal")
@@ -274,7 +278,8 @@ def _search(
     start_yaw: float,
     goal_yaw: float,
 ) -> Plan | None:
-    """Run the variant's search from a node to the best of the end nodes. A turn that the guard holds is taken out, and the search run again."""
+    """Run the variant's search from a node to the best of the end nodes. A turn that the guard holds is taken out, and
+    the search run again."""
     body = at.table.body
     if request.variant == "mean-only":
         body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})

@@ -26,13 +26,15 @@ class DriveRules:
     """How the robot drives, which is no part of the paper's cost and the same for all its variants."""
 
     backward: float = math.inf
-    """Factor of a metre driven backward; infinite: it drives forward only. Not for `native` and `edge-only`, which know no turns."""
+    """Factor of a metre driven backward; infinite: it drives forward only. Not for `native` and `edge-only`, which know
+    no turns."""
     turning: float = 0.0
     """What a turn costs [m/rad], as it takes time. Not for `native` and `edge-only`."""
     straight: bool = False
     """Straighten the route where that costs no more (`planning.search.straight`), on a graph that knows its map."""
     guarded: bool = False
-    """Turn on the spot only where the guard lets the body turn (`planning.search.guarded`), if there is such a way, on a graph that knows its map."""
+    """Turn on the spot only where the guard lets the body turn (`planning.search.guarded`), if there is such a way, on
+    a graph that knows its map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +63,14 @@ class PlanRequest:
     seen_frontiers: tuple[tuple[float, float], ...] = ()
     """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
     been: tuple[tuple[float, float], ...] | None = ()
-    """x, y [m] of where the robot has been on its way: virtual ground beside them shows nothing new. None: no virtual ground does."""
+    """x, y [m] of where the robot has been on its way: virtual ground beside them shows nothing new. None: no virtual
+    ground does."""
     rules: DriveRules = DriveRules()
     driven: Driven | None = None
     """Kept where it leads to the same end, unless the new route is clearly better (`planning.search.keep`)."""
     held: tuple[bool, bool] = (False, False)
-    """Whether the guard held a turn on the spot at `start` to the left, to the right: it sees more than the map. Another way is taken, if there is one."""
+    """Whether the guard held a turn on the spot at `start` to the left, to the right: it sees more than the map.
+    Another way is taken, if there is one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +131,8 @@ class Plan:
     exact: bool = False
     """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
     short: float = 0.0
-    """[m] from the plan's end to the goal asked for, where that is too near to something to stand there; around walls, where nothing leads to it."""
+    """[m] from the plan's end to the goal asked for, where that is too near to something to stand there; around walls,
+    where nothing leads to it."""
     kept: bool = False
     """This is what was left of the route driven so far."""
     expanded: int = 0

@@ -14,12 +14,13 @@ from planning.search.pairs import Guide, guide_to, search_pairs
 from planning.search.request import PlanRequest
 
 MOST, ALL = 20_000, 2**62
-"""States that a search looks at while it is led by bounds that know nothing of the turns the guard holds: beyond that it gets bounds of its own. 3,217 were the most that was seen."""
+"""States that a search looks at while it is led by bounds that know nothing of the turns the guard holds: beyond that
+it gets bounds of its own. 3,217 were the most that was seen."""
 
 
 class RouteSearch:
-    """What the searches of one query share. Turns that are missing in `at.table.arcs` since the last one only make routes dearer, so the bounds of the
-    first lead them all."""
+    """What the searches of one query share. Turns that are missing in `at.table.arcs` since the last one only make
+    routes dearer, so the bounds of the first lead them all."""
 
     def __init__(
         self,
@@ -32,7 +33,8 @@ class RouteSearch:
         start_yaw: float,
         goal_yaw: float,
     ) -> None:
-        """To the end node (nodes,) with the least cost plus `exit_cost` (nodes,), none of which is less than the way to `xy` is long. Weighed as `body` does."""
+        """To the end node (nodes,) with the least cost plus `exit_cost` (nodes,), none of which is less than the way to
+        `xy` is long. Weighed as `body` does."""
         self.expanded = 0
         """States that the last search looked at."""
         self._at, self._request, self._body, self._xy = at, request, body, xy

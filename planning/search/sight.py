@@ -174,7 +174,8 @@ def _mark(places, ox, oy, reach, out):
 
 @njit(cache=True)
 def _shown(places, unseen, taken, top, ox, oy):
-    """(n,) [m^2] of unseen ground, not taken yet, that places (n, 3) show: each part of a ray stands for its share of the disc."""
+    """(n,) [m^2] of unseen ground, not taken yet, that places (n, 3) show: each part of a ray stands for its share of
+    the disc."""
     out = np.zeros(len(places))
     for k in range(len(places)):
         out[k] = _look(places[k], unseen, taken, top, ox, oy, False)

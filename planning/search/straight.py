@@ -1,8 +1,9 @@
-"""A searched route made straight where that costs no more: the graph's nodes are samples, and on open ground edges zigzag between them.
+"""A searched route made straight where that costs no more: the graph's nodes are samples, and on open ground edges
+zigzag between them.
 
 Points of a stretch are moved onto its chord, evenly spaced, so that each piece is tested and priced like an edge of the
-graph. A chord is taken where every piece can be driven, the turns at its ends have room, the accumulated transition cost is
-not higher, and no feature of the body is worse than the route has it anywhere, but for the noise of one cell.
+graph. A chord is taken where every piece can be driven, the turns at its ends have room, the accumulated transition
+cost is not higher, and no feature of the body is worse than the route has it anywhere, but for the noise of one cell.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
 def _longest(
     ground: Ground, table: RiskTable, route: Route, i: int, cost: np.ndarray, most: np.ndarray
 ) -> int:
-    """Take the longest chord from point i, and bring `cost` up to date: how many edges it replaces, less than two: there is none."""
+    """Take the longest chord from point i, and bring `cost` up to date: how many edges it replaces, less than two:
+    there is none."""
     same = np.flatnonzero(route.back[i:] != route.back[i])
     span = min(int(same[0]) if len(same) else len(route.risk) - i, LONGEST)
     while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
@@ -65,7 +67,8 @@ def _chord(
     cost: np.ndarray,
     most: np.ndarray,
 ) -> bool:
-    """Move points i + 1..j - 1 onto the straight line from i to j and bring `cost` (n - 1,) up to date; False and as before where that is no gain."""
+    """Move points i + 1..j - 1 onto the straight line from i to j and bring `cost` (n - 1,) up to date; False and as
+    before where that is no gain."""
     w, last = weights_of(table.body), min(j + 1, len(route.xy) - 1)
     points = np.linspace(route.xy[i], route.xy[j], j - i + 1)
     if np.abs(points - route.xy[i : j + 1]).max() < 1e-6:
@@ -119,8 +122,9 @@ def has_room_everywhere(ground: Ground, route: Route) -> bool:
 
 
 def free_at(ground: Ground, route: Route, k: int, known: tuple[float, float] | None = None) -> float:
-    """How far [rad] the guard lets the body turn at point k of the route, where it turns as `known` (`turn_at`). Where the robot stands already it needs nothing to spare: else it
-    turned back in the middle of a turn. What is driven as a bend is no turn on the spot.
+    """How far [rad] the guard lets the body turn at point k of the route, where it turns as `known` (`turn_at`). Where
+    the robot stands already it needs nothing to spare: else it turned back in the middle of a turn. What is driven as a
+    bend is no turn on the spot.
     """
     yaw, turn = turn_at(route, k) if known is None else known
     if abs(turn) <= BEND:
@@ -130,7 +134,8 @@ def free_at(ground: Ground, route: Route, k: int, known: tuple[float, float] | N
 
 
 def turn_at(route: Route, k: int) -> tuple[float, float]:
-    """Heading [rad] at which the body comes to point k of the route, and how far [rad] it turns there; 0 where any heading will do."""
+    """Heading [rad] at which the body comes to point k of the route, and how far [rad] it turns there; 0 where any
+    heading will do."""
     before, after = route.yaws(k, k).tolist()
     return before, _turn(before, after)
 

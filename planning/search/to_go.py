@@ -1,4 +1,5 @@
-"""What is still to go to a goal beyond known ground, from where a plan may end. Ground that nobody saw counts as free: what is left can hardly be cheaper."""
+"""What is still to go to a goal beyond known ground, from where a plan may end. Ground that nobody saw counts as free:
+what is left can hardly be cheaper."""
 
 from __future__ import annotations
 
@@ -35,9 +36,10 @@ def way_to_go(
 ) -> NDArray[np.float64]:
     """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open.
 
-    Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way.
-    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that was not seen, where these
-    are less than `SPREAD` apart: most likely they go on there. What lies on one side of them alone may be the way around.
+    Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way. A metre in
+    `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that was not
+    seen, where these are less than `SPREAD` apart: most likely they go on there. What lies on one side of them alone
+    may be the way around.
     """
     x0, y0, x1, y1 = grid.extent
     # one cell of free ground around the map: who leaves it may go around everything
@@ -75,10 +77,11 @@ def way_to_go(
 def through_virtual(
     graph: TraversalGraph, ends: NDArray[np.bool_], to_go: NDArray[np.float64], price: float
 ) -> NDArray[np.float64]:
-    """(n,) least way [m] from each node over the graph to one of `ends` (n,) and from there `to_go` (n,) [m]; inf where none is reached.
+    """(n,) least way [m] from each node over the graph to one of `ends` (n,) and from there `to_go` (n,) [m]; inf where
+    none is reached.
 
-    Virtual ground outside of stepfields counts as free, as what lies beyond a frontier does, other ground with its risk at
-    `price` and what it crosses.
+    Virtual ground outside of stepfields counts as free, as what lies beyond a frontier does, other ground with its risk
+    at `price` and what it crosses.
     """
     flags = flags_at(graph, graph.nodes)
     hidden = flags & (VIRTUAL | FIELD) == VIRTUAL
@@ -149,7 +152,8 @@ def _block(height, trusted, res, dx, dy, blocked):
 
 @njit(cache=True)
 def _flood(blocked, way, free, dear):
-    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked. `dear`: what a metre counts there."""
+    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked. `dear`:
+    what a metre counts there."""
     rows, cols = way.shape
     heap = [(0.0, 0, 0) for _ in range(0)]
     for r in range(rows):

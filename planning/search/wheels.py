@@ -1,4 +1,5 @@
-"""What the wheels feel: one that turns on the spot climbs no face, whatever the guard lets the body turn through, and one that is driven backward climbs less."""
+"""What the wheels feel: one that turns on the spot climbs no face, whatever the guard lets the body turn through, and
+one that is driven backward climbs less."""
 
 from __future__ import annotations
 
@@ -13,13 +14,14 @@ from hal.safety.swept import Surroundings, turn_step
 from planning.graph.edge_price import AXLE, TREAD
 
 TURN_FACE = 0.09
-"""[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar (`docs/simulated_robot.md`); 3 cm are the noise
-of the map."""
+"""[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar
+(`docs/simulated_robot.md`); 3 cm are the noise of the map."""
 
 
 def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float) -> float:
-    """How far [rad], at most the size of `turn`, a body at `pose` turns on the spot, to the left where `turn` is positive, before one of its
-    wheels comes to a face above `TURN_FACE`. Ground may rise as steeply as `max_slope` [rad] besides.
+    """How far [rad], at most the size of `turn`, a body at `pose` turns on the spot, to the left where `turn` is
+    positive, before one of its wheels comes to a face above `TURN_FACE`. Ground may rise as steeply as `max_slope`
+    [rad] besides.
     """
     steps = math.ceil(abs(turn) / turn_step())
     at = wheel_face(
@@ -42,8 +44,8 @@ def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float)
 def wheel_face(
     height, x0, y0, resolution, x, y, yaw, step, steps, limit, grade
 ):  # pragma: no cover - compiled
-    """Number of steps of `step` [rad] after which a wheel meets a face of more than `limit` [m] within two cells, less what the ground rises by `grade`;
-    `steps` where none does."""
+    """Number of steps of `step` [rad] after which a wheel meets a face of more than `limit` [m] within two cells, less
+    what the ground rises by `grade`; `steps` where none does."""
     rows, cols = height.shape
     first = steps
     for wheel in range(12):

@@ -1,7 +1,8 @@
 """The door for local controllers of others, named as `package.module:function`.
 
-A controller is a function `(path: Followed, robot: Robot) -> (forward [m/s], turn [rad/s])`, asked 50 times a second; None: the path is driven to its
-end. A class is made anew for each path, and may so remember things. What it answers is kept to the limits of the tracker, and slewed.
+A controller is a function `(path: Followed, robot: Robot) -> (forward [m/s], turn [rad/s])`, asked 50 times a second;
+None: the path is driven to its end. A class is made anew for each path, and may so remember things. What it answers is
+kept to the limits of the tracker, and slewed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Zenoh's access control, made from the table of topics: what no row allows is denied.
 
-`**` does not match a chunk that begins with `@`: without the patterns of their own, latched messages (`@adv`) and process
-tokens (`@ros2_lv`) would be lost in silence.
+`**` does not match a chunk that begins with `@`: without the patterns of their own, latched messages (`@adv`) and
+process tokens (`@ros2_lv`) would be lost in silence.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def access_control(scope: Scope, members: dict[Role, list[str]], *, closed: bool
 
     `closed`: all rights on this computer come with the socket in the run folder; who comes by TCP is an observer.
 
-    Who has none of these certificates may do nothing, whoever signed it. Outsiders declare no token and answer no query: with those
-    they could pass for a process that died, or hand out a false map.
+    Who has none of these certificates may do nothing, whoever signed it. Outsiders declare no token and answer no
+    query: with those they could pass for a process that died, or hand out a false map.
     """
     data, latched = f"{scope.prefix}/**", f"{scope.prefix}/**/@adv/**"
     all_keys = [

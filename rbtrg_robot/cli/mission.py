@@ -49,7 +49,8 @@ def run(
     ] = False,
     robot: Robot = ROBOT,
 ) -> None:
-    """Send the robot on a mission. Exit status: 0 started (finished with --wait), 2 refused, 3 failed, 4 stopped or paused by Ctrl-C."""
+    """Send the robot on a mission. Exit status: 0 started (finished with --wait), 2 refused, 3 failed, 4 stopped or
+    paused by Ctrl-C."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.missions.file import load, numbered

@@ -103,7 +103,8 @@ def fleet(statuses: dict[str, dict[str, Any] | None]) -> Table:
 
 
 class Screen:
-    """What `up` shows. A terminal that is gone and a file on a full disk take no words: the robot drives on without them."""
+    """What `up` shows. A terminal that is gone and a file on a full disk take no words: the robot drives on without
+    them."""
 
     def __init__(self) -> None:
         self._console = Console()

@@ -44,7 +44,8 @@ STATE = ("robot", "goal", "mission", "mission_order", "map", "pose", "route", "s
 ALIVE = 2.0
 """[s] between two signs of life on a stream of events."""
 ASK_AGAIN, PATIENCE = 1.0, 15.0
-"""[s] between two requests for a picture, and for all of them: the camera's process loads what it needs with the first."""
+"""[s] between two requests for a picture, and for all of them: the camera's process loads what it needs with the first.
+"""
 
 
 class _Body(BaseModel):

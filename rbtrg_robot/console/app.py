@@ -61,7 +61,8 @@ def _whole(digits: str) -> int:
 
 
 def wish_in(text: str) -> dict[str, Any]:
-    """What a page says. Raises ValueError, RecursionError for what is none: no object, a number that no message holds, half a character."""
+    """What a page says. Raises ValueError, RecursionError for what is none: no object, a number that no message holds,
+    half a character."""
     wish = json.loads(text, parse_int=_whole)
     if not isinstance(wish, dict):
         raise ValueError("not an object")

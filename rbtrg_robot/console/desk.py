@@ -1,4 +1,5 @@
-"""What pages ask for: who may ask, and the orders that are under way. Orders are the commands' own (`rbtrg_robot.orders`)."""
+"""What pages ask for: who may ask, and the orders that are under way. Orders are the commands' own
+(`rbtrg_robot.orders`)."""
 
 from __future__ import annotations
 

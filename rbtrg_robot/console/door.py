@@ -1,8 +1,9 @@
 """Who comes in: one-time tokens, signed cookies, and one guard over everything that is served.
 
-The tokens lie in the run folder, which only the user who runs `up` can read. Whoever opens an address with a token gets a cookie,
-and the token is replaced; one that nobody uses ends after ten minutes. Cookies are signed and outlive a restart of the
-process: a page that is open can still stop the robot. They end with the stack, whose supervisor removes the secret.
+The tokens lie in the run folder, which only the user who runs `up` can read. Whoever opens an address with a token gets
+a cookie, and the token is replaced; one that nobody uses ends after ten minutes. Cookies are signed and outlive a
+restart of the process: a page that is open can still stop the robot. They end with the stack, whose supervisor removes
+the secret.
 """
 
 from __future__ import annotations
@@ -155,7 +156,8 @@ class Door:
 
 
 class Guard:
-    """ASGI: lets through whoever names this host, comes from this page and shows a cookie, over HTTP and WebSocket alike."""
+    """ASGI: lets through whoever names this host, comes from this page and shows a cookie, over HTTP and WebSocket
+    alike."""
 
     def __init__(self, app: ASGIApp, door: Door, crowd: CrowdedSocket) -> None:
         self._app = app

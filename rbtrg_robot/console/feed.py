@@ -1,4 +1,5 @@
-"""What pages see: the newest of every kind, and how old each topic is. A slow page misses what was overtaken, and delays nobody."""
+"""What pages see: the newest of every kind, and how old each topic is. A slow page misses what was overtaken, and
+delays nobody."""
 
 from __future__ import annotations
 
@@ -274,7 +275,8 @@ class Feed:
         self._loop.call_soon_threadsafe(self._hand_out, "status", frames.pack("status", status), True)
 
     def remember(self, events: list[dict[str, Any]]) -> None:
-        """What happened, as `process.events.plain` tells it; what is known already does not count twice. From any thread."""
+        """What happened, as `process.events.plain` tells it; what is known already does not count twice. From any
+        thread."""
         self._loop.call_soon_threadsafe(self._remember, events)
 
     def _remember(self, events: list[dict[str, Any]]) -> None:

@@ -1,6 +1,7 @@
 """Messages as the page reads them: JSON for what is small, bytes for terrain and points. Pure.
 
-A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS, AGES, PICTURE), three of zero, the content.
+A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS, AGES, PICTURE), three of zero, the
+content.
 """
 
 from __future__ import annotations
@@ -255,7 +256,8 @@ LEAST: dict[Topic, float] = {
 
 
 def points(cloud: NDArray[np.float32], place: NDArray[np.float64], turn: NDArray[np.float64]) -> bytes:
-    """float32[7] position and quaternion of base_link in `map`, then int16[n, 3] points in base_link [mm]. `cloud` (n, 3) [m]."""
+    """float32[7] position and quaternion of base_link in `map`, then int16[n, 3] points in base_link [mm]. `cloud` (n,
+    3) [m]."""
     chosen = cloud[:: max(1, len(cloud) // POINTS_MOST + (len(cloud) % POINTS_MOST > 0))]
     chosen = chosen[np.isfinite(chosen).all(axis=1) & (np.abs(chosen) < 32.0).all(axis=1)]
     head = np.concatenate([place, turn]).astype("<f4").tobytes()

@@ -40,8 +40,8 @@ LARGEST = 16_384
 TURN_TAKES = 64
 """Connections that are accepted in one turn of the loop."""
 STRANGERS = 400
-"""Connections without a cookie. A browser shows its cookie with its first bytes, which are read a few turns of the loop after it was let in,
-and each turn lets in as many as TURN_TAKES."""
+"""Connections without a cookie. A browser shows its cookie with its first bytes, which are read a few turns of the loop
+after it was let in, and each turn lets in as many as TURN_TAKES."""
 GUESTS = 128
 """Connections with one. A page holds one, and up to six more while it loads."""
 LOOPBACK = "127.0.0.1"
@@ -107,8 +107,8 @@ class Serving:
 
 @contextlib.contextmanager
 def serving(config: StackConfig, bus: Bus, lead: tuple[Path, list[str]] | None = None) -> Iterator[Serving]:
-    """The server in a thread of its own; its door's address is in the run folder. `lead`: instead of a robot, a run and the stages that are
-    run on it again, step by step."""
+    """The server in a thread of its own; its door's address is in the run folder. `lead`: instead of a robot, a run and
+    the stages that are run on it again, step by step."""
     host, port = config.console.address, config.console.port
     tls: dict[str, Any] = {}
     if host != LOOPBACK:

@@ -1,4 +1,5 @@
-"""A console without a robot, for `log step`: pages see a re-run that stands between two messages, lead it, and look into its stages."""
+"""A console without a robot, for `log step`: pages see a re-run that stands between two messages, lead it, and look
+into its stages."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """The elevation map for pages: tiles of 64 x 64 cells, each sent again when it changed. Four bytes a cell.
 
-A tile on the wire, little-endian: int32 row, int32 column of its first cell on the world lattice, int16[64, 64] height [mm]
-(-32768 unknown), uint8[64, 64] ground risk, uint8[64, 64] trust (0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR,
-4 wheels, 5 assumed: nobody saw it).
-Ground risk: slope or face as a share of what the robot drives over; 200 is its limit, 255 unknown.
-Ages go by themselves, to pages that show them: row, column, uint8[64, 64] seconds since the cell was seen (254 and more, 255 never).
+A tile on the wire, little-endian: int32 row, int32 column of its first cell on the world lattice, int16[64, 64] height
+[mm] (-32768 unknown), uint8[64, 64] ground risk, uint8[64, 64] trust (0 unknown, 1 seen but not trusted, 2 bridged, 3
+LiDAR, 4 wheels, 5 assumed: nobody saw it). Ground risk: slope or face as a share of what the robot drives over; 200 is
+its limit, 255 unknown. Ages go by themselves, to pages that show them: row, column, uint8[64, 64] seconds since the
+cell was seen (254 and more, 255 never).
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ MOST = 40
 """Tiles of one message: 0.7 MB."""
 UNKNOWN = -32768
 KINDS = np.array([0, 4, 3, 2, 5, 2, 4, 0], np.uint8)
-"""Trust on the wire by the map's `source`: unknown, wheels, LiDAR, bridged, assumed, plants: as bridged, touched: as felt by the wheels, holes: as unknown."""
+"""Trust on the wire by the map's `source`: unknown, wheels, LiDAR, bridged, assumed, plants: as bridged, touched: as
+felt by the wheels, holes: as unknown."""
 MEASURED = (1, 2)
 """Sources of a height that was seen: wheels, LiDAR."""
 AGREES = 0.1
@@ -144,7 +145,8 @@ class Terrain:
             self._tiles[key].body = self._body(key, self._tiles[key])
 
     def newer(self, sent: dict[Key, int], x: float, y: float) -> bytes:
-        """Tiles that changed since `sent` (which is brought up to date), the nearest to x, y [m] first; empty where none did."""
+        """Tiles that changed since `sent` (which is brought up to date), the nearest to x, y [m] first; empty where
+        none did."""
         gone = [key for key in sent if key not in self._tiles]
         for key in gone:
             del sent[key]
@@ -211,7 +213,8 @@ def ground_risk(
 ) -> NDArray[np.uint8]:
     """Cells' risk 0..254, LIMIT at the robot's limits, 255 unknown. `slope` [rad], `step` [m] as in `slope_and_step`.
 
-    A step higher than the steepest drivable slope makes between diagonal neighbours is a face, and no slope counts there.
+    A step higher than the steepest drivable slope makes between diagonal neighbours is a face, and no slope counts
+    there.
     """
     with np.errstate(invalid="ignore"):
         face = step > math.sqrt(2.0) * resolution * math.tan(max_slope)

@@ -14,9 +14,11 @@ from rbtrg_robot.topics import BY_NAME, Topic
 from rbtrg_robot.wire import messages
 
 PATIENCE = 5 * NS
-"""[ns] of the log after a step was recorded: a message that has not come by then was never recorded, and the stage goes on without it."""
+"""[ns] of the log after a step was recorded: a message that has not come by then was never recorded, and the stage goes
+on without it."""
 BEHIND = 64
-"""Messages of a topic before the one just taken that are still kept: two publishers' may be taken in another order than recorded."""
+"""Messages of a topic before the one just taken that are still kept: two publishers' may be taken in another order than
+recorded."""
 
 Made = Callable[[Topic, bytes, int, int, int], None]
 """Called with topic, wire bytes, time of the log, source clock [ns] and number of what a stage publishes."""
@@ -49,7 +51,8 @@ class Inbox:
 
 
 class Follower:
-    """Stages that follow their journals. They depend on each other's messages alone, so the order of the log does not matter."""
+    """Stages that follow their journals. They depend on each other's messages alone, so the order of the log does not
+    matter."""
 
     def __init__(
         self, stages: Mapping[str, tuple[Stage, float]], steps: Mapping[str, deque[Step]], made: Made

@@ -32,7 +32,8 @@ FEW = 8
 
 
 def figures(stage: Stage) -> list[Row]:
-    """Everything in the stage that is a number, a word or a few of them, by the names the code has for it; of what is larger, its size."""
+    """Everything in the stage that is a number, a word or a few of them, by the names the code has for it; of what is
+    larger, its size."""
     rows = []
     for row in _rows(stage, "", DEEP, {id(stage)}):
         rows.append(row)

@@ -1,4 +1,5 @@
-"""Tests of runs from a file: expectations over a log, over stages run on it again, or over simulated drives; every combination of settings."""
+"""Tests of runs from a file: expectations over a log, over stages run on it again, or over simulated drives; every
+combination of settings."""
 
 from __future__ import annotations
 

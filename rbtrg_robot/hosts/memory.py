@@ -7,8 +7,9 @@ import gc
 
 
 def keep_what_is_loaded() -> None:
-    """Look through all objects for what nobody needs once more and never again: 200,000 of modules and kernels take 0.1 s, in the middle of an answer.
-    What the making of models and kernels took on the way goes back to the system (malloc_trim(3) of glibc)."""
+    """Look through all objects for what nobody needs once more and never again: 200,000 of modules and kernels take 0.1
+    s, in the middle of an answer. What the making of models and kernels took on the way goes back to the system
+    (malloc_trim(3) of glibc)."""
     gc.collect()
     gc.freeze()
     if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):

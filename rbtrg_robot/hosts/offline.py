@@ -134,7 +134,8 @@ class Window:
     """Part of a log."""
 
     def __init__(self, begin: int, offset: float = 0.0, duration: float = math.inf) -> None:
-        """`begin`: first message [ns of the log]; the part begins `offset` [s] later and lasts `duration` [s]. Raises ConfigError."""
+        """`begin`: first message [ns of the log]; the part begins `offset` [s] later and lasts `duration` [s]. Raises
+        ConfigError."""
         if not (offset >= 0.0 and duration > 0.0 and math.isfinite(offset)):
             raise ConfigError(
                 f"--start-offset must be 0 or more and --duration positive, got {offset} and {duration}"
@@ -172,8 +173,8 @@ def _needs(config: StackConfig) -> dict[str, tuple[tuple[Topic, ...], ...]]:
 
 
 def fitting(log: Path, names: list[str], config: StackConfig) -> None:
-    """Raises ConfigError for a name that is no stage, LogError where the log lacks what a stage needs, and no stage of the re-run makes it; or
-    holds it in another layout."""
+    """Raises ConfigError for a name that is no stage, LogError where the log lacks what a stage needs, and no stage of
+    the re-run makes it; or holds it in another layout."""
     possible = [p.name for p in PROCESSES if p.hosted]
     for name in names:
         if name not in possible:

@@ -88,8 +88,9 @@ class MapPlanner:
         config: StackConfig | None = None,
         start: tuple[float, float] | None = None,
     ) -> None:
-        """`ground`: a built-in scene, a scene file or a saved map to read, or a grid of heights. `start` x, y [m]: where
-        the questions begin; a file without a level place to start on needs it. Raises ConfigError, SceneError, MapError."""
+        """`ground`: a built-in scene, a scene file or a saved map to read, or a grid of heights. `start` x, y [m]:
+        where the questions begin; a file without a level place to start on needs it. Raises ConfigError, SceneError,
+        MapError."""
         self.config = config = config or load()
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)
@@ -118,8 +119,8 @@ class MapPlanner:
     def of_array(
         cls, height: NDArray[np.floating], resolution: float, origin: tuple[float, float] = (0.0, 0.0)
     ) -> MapPlanner:
-        """Of heights (rows, cols) [m], NaN where the ground is not known; row and column grow with y and x. `resolution`: cell size [m]; `origin`:
-        x, y [m] of the centre of cell [0, 0]. Raises GridError, ConfigError."""
+        """Of heights (rows, cols) [m], NaN where the ground is not known; row and column grow with y and x.
+        `resolution`: cell size [m]; `origin`: x, y [m] of the centre of cell [0, 0]. Raises GridError, ConfigError."""
         return cls(ElevationGrid(height, np.isfinite(height), origin, resolution))
 
     def plan(
@@ -196,8 +197,8 @@ class MapPlanner:
         return arrival(told.p_fail, told.worst) + (refused if told.p_fail > accepted else "")
 
     def image(self, route: Route) -> Image.Image:
-        """The answer to the newest question over the risk of the ground: edges of the graph from green to red, the path, the worst place. A
-        notebook shows it. Raises ConfigError where there is no ground."""
+        """The answer to the newest question over the risk of the ground: edges of the graph from green to red, the
+        path, the worst place. A notebook shows it. Raises ConfigError where there is no ground."""
         if self._terrain is None or self._asked is None:
             raise ConfigError("nothing was searched yet: there is nothing to draw")
         grid = self._terrain.grid

@@ -1,4 +1,5 @@
-"""The robot process: a backend behind the gate, paced in real time. Not a hosted stage: it makes the time of the others."""
+"""The robot process: a backend behind the gate, paced in real time. Not a hosted stage: it makes the time of the
+others."""
 
 from __future__ import annotations
 
@@ -88,7 +89,8 @@ def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
 
 
 BEGIN = 1_767_225_600 * NS
-"""[ns] A simulated clock begins at 2026-01-01 00:00 UTC: programs of others take a stamp near 0 for none, and drop it."""
+"""[ns] A simulated clock begins at 2026-01-01 00:00 UTC: programs of others take a stamp near 0 for none, and drop it.
+"""
 
 
 class Pace:

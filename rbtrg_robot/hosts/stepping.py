@@ -1,4 +1,5 @@
-"""A re-run that somebody leads through: it stands between two messages until it is told how far to go, and can be looked into while it stands."""
+"""A re-run that somebody leads through: it stands between two messages until it is told how far to go, and can be
+looked into while it stands."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ class Stepper:
         told: Told,
         stood: Callable[[], None] = lambda: None,
     ) -> None:
-        """`stood` is called whenever it begins to stand, and at its end. Raises LogError, ConfigError where the log does not do for these stages."""
+        """`stood` is called whenever it begins to stand, and at its end. Raises LogError, ConfigError where the log
+        does not do for these stages."""
         fitting(run, names, config)
         self.names = names
         self.length = overview(run).seconds
@@ -132,7 +134,8 @@ class Stepper:
     # --- looking in ---------------------------------------------------------------------------------------------
 
     def look(self, name: str, at: tuple[float, float] | None = None) -> dict[str, Any]:
-        """Inputs, outputs and figures of a stage while the re-run stands; `at`: x, y [m] in `map` of a place it is asked about. Raises StepError."""
+        """Inputs, outputs and figures of a stage while the re-run stands; `at`: x, y [m] in `map` of a place it is
+        asked about. Raises StepError."""
         with self._turn:
             stage = self._stage(name)
             rows = {
@@ -146,8 +149,8 @@ class Stepper:
             return {"stage": name, "seconds": self.seconds, **rows}
 
     def why(self, goal: tuple[float, float], start: tuple[float, float, float]) -> msg.RouteReport:
-        """The planner's answer to "how would it go there?": a route with its price and worst place, or why there is none. `start`: x, y [m],
-        heading [rad]. Raises StepError."""
+        """The planner's answer to "how would it go there?": a route with its price and worst place, or why there is
+        none. `start`: x, y [m], heading [rad]. Raises StepError."""
         with self._turn:
             stage = self._stage("planner")
             x, y, yaw = start

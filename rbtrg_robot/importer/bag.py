@@ -1,6 +1,8 @@
-"""One way to read a recording, whatever wrote it: MCAP (ROS 2 or ROS 1 in it), rosbag2 (.db3, split, zstd), a ROS 1 .bag.
+"""One way to read a recording, whatever wrote it: MCAP (ROS 2 or ROS 1 in it), rosbag2 (.db3, split, zstd), a ROS 1
+.bag.
 
-Messages come out as CDR. MCAP is read by our own reader, which reads a damaged file as far as it goes; the rest by rosbags.
+Messages come out as CDR. MCAP is read by our own reader, which reads a damaged file as far as it goes; the rest by
+rosbags.
 """
 
 from __future__ import annotations

@@ -44,7 +44,8 @@ def grid_in(bag: Path, topic: str = "", layer: str = LAYER) -> ElevationGrid:
 
 
 def _grid(message: Any, layer: str, name: str) -> ElevationGrid:
-    """grid_map counts cells from the +x, +y corner, column by column, from where its ring buffer begins. Raises LogError."""
+    """grid_map counts cells from the +x, +y corner, column by column, from where its ring buffer begins. Raises
+    LogError."""
     info, turn = message.info, message.info.pose.orientation
     if layer not in message.layers:
         raise LogError(f"{name} has no layer {layer}: say --layer {' or '.join(message.layers)}")

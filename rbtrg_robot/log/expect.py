@@ -1,11 +1,12 @@
-"""What a run is expected to be: one line each (`max tilt < 25`, `odometry.health == good`), judged over the messages of a run.
+"""What a run is expected to be: one line each (`max tilt < 25`, `odometry.health == good`), judged over the messages of
+a run.
 
     [max | min | mean | last] QUANTITY < <= > >= == != VALUE [after N s]
     count TOPIC < <= > >= == != NUMBER [after N s]
     no plan longer than N x | N m [after N s]
 
-A QUANTITY is one of QUANTITIES, or a field of a message: `odometry.overlap`, `/plan.transition_risk`. Without a word before it every
-value counts. A line about something that the run does not hold does not hold.
+A QUANTITY is one of QUANTITIES, or a field of a message: `odometry.overlap`, `/plan.transition_risk`. Without a word
+before it every value counts. A line about something that the run does not hold does not hold.
 """
 
 from __future__ import annotations

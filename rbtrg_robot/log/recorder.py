@@ -1,4 +1,5 @@
-"""The recorder: every message on the bus into MCAP, wire bytes unchanged but for sweeps of the profile `standard`, which are packed."""
+"""The recorder: every message on the bus into MCAP, wire bytes unchanged but for sweeps of the profile `standard`,
+which are packed."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ class Recorder:
         attachments: dict[str, bytes],
         clock: SourceClock,
     ) -> None:
-        """`clock` says when a message was recorded. Raises LogError when the folder cannot be written; a disk that is full now is waited for."""
+        """`clock` says when a message was recorded. Raises LogError when the folder cannot be written; a disk that is
+        full now is waited for."""
         self._clock = clock
         self._folder = folder
         self._params = params
@@ -75,7 +77,8 @@ class Recorder:
         """Messages that were not recorded for want of space."""
         self._moments, self._pictures = Moments(), Thinned(PICTURES)
         self._latched: dict[t.Topic, tuple[bytes, int, int]] = {}
-        """Newest of each latched topic: who begins with a later file needs the frames and the robot's description, too."""
+        """Newest of each latched topic: who begins with a later file needs the frames and the robot's description, too.
+        """
         self._writer: LogWriter | None = None
         try:
             self._writer = self._open()
@@ -185,7 +188,8 @@ class Recorder:
             self._writer = None
 
     def _retire(self, writer: LogWriter, *, tidy: bool = False) -> None:
-        """Index a full file, wait for the disk and remove old runs beside the recording: each can take longer than a heartbeat may."""
+        """Index a full file, wait for the disk and remove old runs beside the recording: each can take longer than a
+        heartbeat may."""
 
         def close() -> None:
             try:

@@ -65,8 +65,8 @@ class Overview:
 
 
 def summary_of(path: Path) -> Summary | None:
-    """Schemas, channels and statistics of a file; None where it has no summary that can be read. What tells where its chunks lie is left
-    out: there are thousands of them, and each lists all channels."""
+    """Schemas, channels and statistics of a file; None where it has no summary that can be read. What tells where its
+    chunks lie is left out: there are thousands of them, and each lists all channels."""
     found = Summary()
     try:
         with open_regular(path) as stream:
@@ -112,8 +112,8 @@ def channels_of(path: Path) -> list[tuple[Schema | None, Channel, int]]:
 
 
 def overview(path: Path, *, quick: bool = False) -> Overview:
-    """Of a file, or of all files of a run's folder. `quick`: files without a summary are named and not read, but for the beginning of the
-    first. Raises LogError."""
+    """Of a file, or of all files of a run's folder. `quick`: files without a summary are named and not read, but for
+    the beginning of the first. Raises LogError."""
     files = log_files(path)
     found = Overview([file.name for file in files], first_of(path).metadata.get(METADATA, {}))
     for file in files:
@@ -145,7 +145,8 @@ def overview(path: Path, *, quick: bool = False) -> Overview:
 
 
 def _channels(path: Path, contents: LogContents) -> Iterator[tuple[Schema | None, Channel, int, int, int]]:
-    """Schema, channel, messages, and first and last message of the file [ns]. `contents` tells damage where the file was read."""
+    """Schema, channel, messages, and first and last message of the file [ns]. `contents` tells damage where the file
+    was read."""
     summary = summary_of(path)
     if summary is not None and summary.statistics is not None:
         told = summary.statistics

@@ -1,8 +1,9 @@
 """The way of a run as a file that others read (TUM, KITTI), and how far it is from another: ATE and RPE.
 
-ATE: root mean square of the positions' distances after the rigid motion that brings the estimate closest to the reference (Umeyama 1991).
-RPE: root mean square of the error of the motion between two poses, by distance driven and by time (Sturm et al., IROS 2012). Pairs follow
-each other and do not overlap, those by distance along the estimate; the program evo gives the same figures.
+ATE: root mean square of the positions' distances after the rigid motion that brings the estimate closest to the
+reference (Umeyama 1991). RPE: root mean square of the error of the motion between two poses, by distance driven and by
+time (Sturm et al., IROS 2012). Pairs follow each other and do not overlap, those by distance along the estimate; the
+program evo gives the same figures.
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ def of_run(log: Path, topic: str = "/odom") -> Trajectory:
 
 
 def of_poses(stamps: NDArray[np.int64], positions: Array, orientations: Array, name: str) -> Trajectory:
-    """From stamps (n,) [ns], positions (n, 3) [m] and quaternions (n, 4) x, y, z, w. Raises LogError, which begins with `name`."""
+    """From stamps (n,) [ns], positions (n, 3) [m] and quaternions (n, 4) x, y, z, w. Raises LogError, which begins with
+    `name`."""
     norm = np.linalg.norm(orientations, axis=1)
     if not (np.isfinite(positions).all() and np.isfinite(norm).all() and (norm > 0.5).all()):
         raise LogError(f"{name} holds poses that are none: not finite, or without an orientation")
@@ -168,7 +170,8 @@ def _nanoseconds(text: str) -> int:
 def compare(
     estimate: Trajectory, reference: Trajectory, distance: float = 1.0, seconds: float = 1.0
 ) -> Comparison:
-    """`distance` [m] and `seconds` between the poses of a pair of RPE. Raises LogError where the two have nothing in common."""
+    """`distance` [m] and `seconds` between the poses of a pair of RPE. Raises LogError where the two have nothing in
+    common."""
     first, second = _associate(estimate, reference)
     if len(first) < 3:
         raise LogError(

@@ -413,7 +413,8 @@ def dump(mission: MissionFile) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Puts text with line ends of other scripts (U+0085, U+2028) into double quotes: in others PyYAML makes spaces of them."""
+    """Puts text with line ends of other scripts (U+0085, U+2028) into double quotes: in others PyYAML makes spaces of
+    them."""
 
 
 def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:

@@ -140,8 +140,8 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
 def save(
     patches: list[MapPatch], cloud: NDArray[np.float32], file: Path, limits: Limits | None = None
 ) -> int:
-    """Write it as `up --map` reads it, with `limits` as other programs do (see `mapping.elevation.export`); returns the number of known cells.
-    Raises OSError, MapError."""
+    """Write it as `up --map` reads it, with `limits` as other programs do (see `mapping.elevation.export`); returns the
+    number of known cells. Raises OSError, MapError."""
     from mapping.elevation.export import write
     from mapping.elevation.map import ElevationMap
 

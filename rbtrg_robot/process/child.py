@@ -28,8 +28,8 @@ class _Formatter(logging.Formatter):
 def run(spec: dict[str, Any]) -> int:
     """One process until told to stop; returns its exit status.
 
-    `spec`: `process` its name, `config` the dumped StackConfig, `clock` the offset of the stack's SourceClock, `stack` its id on the bus,
-    `restored` {topic: base64 of its newest message}.
+    `spec`: `process` its name, `config` the dumped StackConfig, `clock` the offset of the stack's SourceClock, `stack`
+    its id on the bus, `restored` {topic: base64 of its newest message}.
     """
     name: str = spec["process"]
     stop = threading.Event()

@@ -141,7 +141,8 @@ class Diagnosis:
         return self._entry("mission", OK, words, **mission)
 
     def _network(self) -> DiagnosticStatus:
-        """Datagrams that this computer lost because a receive buffer was full, of all programs, since it was switched on."""
+        """Datagrams that this computer lost because a receive buffer was full, of all programs, since it was switched
+        on."""
         lost = receive_errors()
         if lost is None:
             return self._entry("network", STALE, f"{SNMP} cannot be read")

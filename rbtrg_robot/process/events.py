@@ -1,4 +1,5 @@
-"""What happens to the stack, the robot, its goal and its map: every change once, for the terminal of `up` and for /events."""
+"""What happens to the stack, the robot, its goal and its map: every change once, for the terminal of `up` and for
+/events."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ Place = tuple[float, float]
 
 
 def plain(event: msg.Event) -> dict[str, Any]:
-    """An event as JSON tells it: `stamp` and `logged` in s of the source's and the recorder's clock, `place` x, y [m] in `map` or None."""
+    """An event as JSON tells it: `stamp` and `logged` in s of the source's and the recorder's clock, `place` x, y [m]
+    in `map` or None."""
     return {
         "number": event.number,
         "stamp": stamp_of(event) / NS,
@@ -67,7 +69,8 @@ class Events:
         clock: Callable[[], int] = lambda: 0,
         recorder: Callable[[], int] = lambda: 0,
     ) -> None:
-        """`say` gets the text of each event at once. `least_battery`: charge at which the robot stops [0..1], negative: at none. `clock`: the source's, `recorder`: the recorder's [ns]."""
+        """`say` gets the text of each event at once. `least_battery`: charge at which the robot stops [0..1], negative:
+        at none. `clock`: the source's, `recorder`: the recorder's [ns]."""
         self._say = say
         self._least_battery = least_battery
         self._clock, self._recorder = clock, recorder

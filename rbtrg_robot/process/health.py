@@ -140,7 +140,8 @@ class Health:
         return float(state.realtime_factor) if state is not None else math.nan
 
     def _begins(self, topic: Topic) -> bool:
-        """Nothing can be said of its rate yet: its process is not ready, or the robot's, which makes a simulator's time, or not for long enough."""
+        """Nothing can be said of its rate yet: its process is not ready, or the robot's, which makes a simulator's
+        time, or not for long enough."""
         makers = {topic.owner, "robot" if self._simulated else ""} & BY_NAME.keys()
         since = max((self._ready.get(process, math.inf) for process in makers), default=-math.inf)
         return time.monotonic() - since < WINDOW
@@ -278,7 +279,8 @@ def expected_topics(
 ) -> tuple[Topic, ...]:
     """Topics with a nominal rate that these processes publish. `lidars`: those the robot carries.
 
-    A real robot may lack the LiDAR in its head, whatever the configuration says: nobody waits for it, and `status` names its silence.
+    A real robot may lack the LiDAR in its head, whatever the configuration says: nobody waits for it, and `status`
+    names its silence.
     """
     names = {row.name for row in rows}
     unreal: set[Topic] = set() if simulated else {t.CLOCK, t.TRUTH}

@@ -42,7 +42,8 @@ class Compiling:
         return sum(self._kept.get(path) != written for path, written in self._files().items())
 
     def words(self) -> str:
-        """For an operator; empty where nothing had to be compiled. After an upgrade nobody knows how many kernels it takes."""
+        """For an operator; empty where nothing had to be compiled. After an upgrade nobody knows how many kernels it
+        takes."""
         done = self.done
         if not done:
             return ""

@@ -49,13 +49,15 @@ START_LIMIT, START_IDLE, START_MOST = 180.0, 30.0, 1800.0
 """[s] until a process must be ready: a cold start compiles the kernels. On a slow or busy computer one that computes
 gets longer: until it has been idle for so long, or has taken so long in all."""
 HELD_UP = 2.0
-"""A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), so what it has heard is old, and after
-the lease sessions with its router have ended."""
+"""A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), so what it has heard is
+old, and after the lease sessions with its router have ended."""
 REJOIN = 6.0
-"""[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended for silence."""
+"""[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended
+for silence."""
 PLANNER = "planner"
 COMPILES = (PLANNER, "elevation", "odometry", "guard", "robot")
-"""Processes that compile kernels at a first start: the longest first, the robot last, for it waits for the others then."""
+"""Processes that compile kernels at a first start: the longest first, the robot last, for it waits for the others then.
+"""
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
 
@@ -102,13 +104,15 @@ class Supervisor:
 
     @property
     def given_up(self) -> list[str]:
-        """Processes that ended with what a restart cannot mend. The stack stays up without them, for looking and for `stop`."""
+        """Processes that ended with what a restart cannot mend. The stack stays up without them, for looking and for
+        `stop`."""
         return [name for name, child in self._children.items() if child.fatal]
 
     # --- life -------------------------------------------------------------------------------------------------
 
     def run(self, stopping: Callable[[], bool], on_turn: Callable[[dict[str, Any]], None]) -> None:
-        """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning, RobotTaken."""
+        """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning,
+        RobotTaken."""
         config = self._config
         real = config.backend != "sim"
         domain = config.unitree.dds_domain(config.interface)
@@ -218,7 +222,8 @@ class Supervisor:
         )
 
     def _well(self) -> bool:
-        """All runs as it should. A planner that looks at a large prior map for seconds before anybody asks it counts as well if it was before."""
+        """All runs as it should. A planner that looks at a large prior map for seconds before anybody asks it counts as
+        well if it was before."""
         bad = set(self._health.unhealthy_topics(self._expected))
         self._were_well |= {topic for topic in self._expected if topic.name not in bad}
         if not all(child.alive and self._health.is_ready(name) for name, child in self._children.items()):
@@ -236,7 +241,8 @@ class Supervisor:
     # --- processes --------------------------------------------------------------------------------------------
 
     def _let_begin(self) -> None:
-        """Where kernels must be compiled, each of COMPILES takes a core for that: the planner has one to itself, who finds none free waits."""
+        """Where kernels must be compiled, each of COMPILES takes a core for that: the planner has one to itself, who
+        finds none free waits."""
         these = [self._children[name] for name in COMPILES if name in self._children]
         free = len(os.sched_getaffinity(0)) if self._compiling.cold else len(these)
         free -= sum(child.started > 0.0 and not self._health.is_ready(child.row.name) for child in these)
@@ -264,7 +270,8 @@ class Supervisor:
         child.usage.cpu_percent()
 
     def _spawn_again(self, child: Child) -> None:
-        """While the computer has no room for it, the others go on without it: what it means for motion is told at its end."""
+        """While the computer has no room for it, the others go on without it: what it means for motion is told at its
+        end."""
         try:
             self._spawn(child)
         except (ZygoteError, OSError) as error:

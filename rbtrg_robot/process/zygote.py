@@ -1,12 +1,13 @@
 """A process that imports what all processes need once, then forks each of them on request.
 
 Seven interpreters that each import numpy, numba and pydantic take seven times 1.2 s of CPU; a fork takes milliseconds
-and shares the memory. The forked process becomes a child of the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER in
-prctl(2)), so that waiting for it and its parent-death signal work as if the supervisor had started it itself.
+and shares the memory. The forked process becomes a child of the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER
+in prctl(2)), so that waiting for it and its parent-death signal work as if the supervisor had started it itself.
 
-Why not the forkserver of `multiprocessing`: its processes remain children of the forkserver (tried with Python 3.11). When that is
-killed, each of them is reported as ended with status 255 while it goes on; when it is stopped, `Process.start` never returns and the
-end of a process is not seen. Here a zygote that is killed or stopped is replaced, and what it forked is watched all the time.
+Why not the forkserver of `multiprocessing`: its processes remain children of the forkserver (tried with Python 3.11).
+When that is killed, each of them is reported as ended with status 255 while it goes on; when it is stopped,
+`Process.start` never returns and the end of a process is not seen. Here a zygote that is killed or stopped is replaced,
+and what it forked is watched all the time.
 """
 
 from __future__ import annotations
@@ -124,7 +125,8 @@ class Zygote:
         return self._popen.pid
 
     def fork(self, specification: dict[str, Any], log_path: Path) -> Forked:
-        """Start one process (see `rbtrg_robot.process.child`), output to `log_path`. Bounded in time. Raises ZygoteError."""
+        """Start one process (see `rbtrg_robot.process.child`), output to `log_path`. Bounded in time. Raises
+        ZygoteError."""
         request = json.dumps({"specification": specification, "log_path": str(log_path)}).encode() + b"\n"
         pid = self._ask(request)
         if not pid:  # it was killed or stopped; the processes it forked live on
@@ -169,7 +171,8 @@ class Zygote:
             return False
 
     def mend(self) -> bool:
-        """Replace it if it has ended or hangs, before somebody must wait for the imports of a new one. Returns whether it was; call it again."""
+        """Replace it if it has ended or hangs, before somebody must wait for the imports of a new one. Returns whether
+        it was; call it again."""
         if self._answers():
             return False
         self.__exit__()
@@ -181,7 +184,8 @@ class Zygote:
         return True
 
     def reap(self, known: set[int]) -> None:
-        """Collect ended processes that nobody waits for: what a killed process leaves becomes a child of this subreaper.
+        """Collect ended processes that nobody waits for: what a killed process leaves becomes a child of this
+        subreaper.
 
         On hardware that is the guardian of a killed robot process. `known`: processes that somebody polls.
         """
@@ -280,8 +284,8 @@ def _settle(request: dict[str, Any], supervisor: int) -> None:
 
 
 def preload() -> None:
-    """What every process needs. The first kernel that is loaded makes numba import half of itself and scipy's linear algebra: 0.6 s of CPU
-    time, in each process at each start, before it is ready."""
+    """What every process needs. The first kernel that is loaded makes numba import half of itself and scipy's linear
+    algebra: 0.6 s of CPU time, in each process at each start, before it is ready."""
     for module in PRELOAD:
         importlib.import_module(module)
     from numba.core.registry import cpu_target

@@ -58,10 +58,10 @@ STATUS_PERIOD = 500_000_000
 
 
 class ElevationStage:
-    """Registered scans in, the elevation map out.
-    In: poses at the end of each scan, deskewed clouds of every LiDAR, joints, tf_static, requests for the
-    map, another prior map, where an operator says that the robot stands. Out: changed blocks, the window around the robot,
-    the whole map on request, status. It never plans, never moves the robot and writes no file.
+    """Registered scans in, the elevation map out. In: poses at the end of each scan, deskewed clouds of every LiDAR,
+    joints, tf_static, requests for the map, another prior map, where an operator says that the robot stands. Out:
+    changed blocks, the window around the robot, the whole map on request, status. It never plans, never moves the robot
+    and writes no file.
     """
 
     outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
@@ -76,9 +76,10 @@ class ElevationStage:
         name: str = "",
         later: Callable[[], ElevationMap] | None = None,
     ) -> None:
-        """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds none. start: x, y [m], yaw [rad]
-        of the robot in `map` as configured. `later`: reads the prior map, which `elevation` does not hold yet, for a process that was started anew:
-        it gets its map from the planner, the prior one in it, and needs no other.
+        """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds
+        none. start: x, y [m], yaw [rad] of the robot in `map` as configured. `later`: reads the prior map, which
+        `elevation` does not hold yet, for a process that was started anew: it gets its map from the planner, the prior
+        one in it, and needs no other.
         """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
@@ -234,8 +235,8 @@ class ElevationStage:
         return self._location.settle(self._frame) or (now is not before and now is State.ASSUMED)
 
     def _sigmas(self, odom: msg.Odometry) -> tuple[float, float]:
-        """Standard deviations of roll or pitch [rad] and of the height [m] of a pose: the odometry's own, or the configured where
-        those are larger.
+        """Standard deviations of roll or pitch [rad] and of the height [m] of a pose: the odometry's own, or the
+        configured where those are larger.
         """
         variance = np.diag(np.reshape(odom.pose.covariance, (6, 6)))
         p = self.map.params
@@ -354,7 +355,8 @@ class ElevationStage:
         return []
 
     def tick(self, now: int) -> Outputs:
-        """Status twice a second, with the stamp of the newest scan in the map: who depends on the map sees how old it is."""
+        """Status twice a second, with the stamp of the newest scan in the map: who depends on the map sees how old it
+        is."""
         self._now = now
         if self._handover.overdue(now):
             return self._give_up()
@@ -391,7 +393,8 @@ def build(config: StackConfig) -> ElevationStage:
 
 
 def build_again(config: StackConfig) -> ElevationStage:
-    """The same for a process that was started anew and is handed the last status of the one before: to read a large prior map takes seconds."""
+    """The same for a process that was started anew and is handed the last status of the one before: to read a large
+    prior map takes seconds."""
     return _build(config, _empty(config), partial(_prior, config) if config.map_file else None)
 
 

@@ -27,7 +27,8 @@ TOLD = 10 * NS
 
 
 class Feeling:
-    """In: IMU, joints, what is driven, the guard's limits. Out: what was touched. It decides whether the map explains what holds the robot."""
+    """In: IMU, joints, what is driven, the guard's limits. Out: what was touched. It decides whether the map explains
+    what holds the robot."""
 
     def __init__(self) -> None:
         self._watch = TouchWatch()

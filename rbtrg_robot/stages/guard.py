@@ -1,4 +1,5 @@
-"""The guard: how fast the body may move where it stands, from the newest map window and sweep. It knows no goal and no plan.
+"""The guard: how fast the body may move where it stands, from the newest map window and sweep. It knows no goal and no
+plan.
 
 The field calls it a collision monitor. The safety gate applies its limits to every motion, whoever asked for it.
 """
@@ -67,9 +68,11 @@ AROUND = 2.0
 CREEPING, TURNING = 0.2, 0.3
 """[m/s], [rad/s] along a wall that the body touches."""
 LEANS = math.radians(25.0)
-"""[rad] A robot that leans by more than this goes nowhere along a wall: one that was let go on at 30 deg came to 40 to 50 deg in each of six drives."""
+"""[rad] A robot that leans by more than this goes nowhere along a wall: one that was let go on at 30 deg came to 40 to
+50 deg in each of six drives."""
 LEAVES = (0.2, 0.5)
-"""[m/s] and [rad/s] of a turn, 0.2 m/s at a corner of the body, over ground under leaves: what stands in them is felt, not seen."""
+"""[m/s] and [rad/s] of a turn, 0.2 m/s at a corner of the body, over ground under leaves: what stands in them is felt,
+not seen."""
 NO_POINTS = np.zeros((0, 3), np.float32)
 STANDS = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
@@ -85,9 +88,9 @@ WORDS = {
 class GuardStage:
     """Map window and sweeps in, the speeds that are safe here out.
 
-    In: the window of the elevation map, the newest sweep, poses, tf_static, the map's status. Out: `/guard/limits`, the largest
-    speed forward, backward and in each turn, 20 times a second. It decides how far the body may move before it meets a face, a
-    drop or something that stands there. It knows no goal and no plan, and it never moves the robot.
+    In: the window of the elevation map, the newest sweep, poses, tf_static, the map's status. Out: `/guard/limits`, the
+    largest speed forward, backward and in each turn, 20 times a second. It decides how far the body may move before it
+    meets a face, a drop or something that stands there. It knows no goal and no plan, and it never moves the robot.
     """
 
     outputs = (t.MOTION_LIMITS,)
@@ -370,7 +373,8 @@ class GuardStage:
         return f"{age:.1f}" if math.isfinite(age) else f"more than {(self._now - self._began) / NS:.1f}"
 
     def _main_silent(self) -> str:
-        """Why it is slow: the head's LiDAR looks ahead, and nobody sees who comes from the side; empty where the main one speaks."""
+        """Why it is slow: the head's LiDAR looks ahead, and nobody sees who comes from the side; empty where the main
+        one speaks."""
         age = self._unseen(t.CLOUD)
         return MAIN_SILENT.tell(age=self._told(age)) if MAIN_SILENT.outside(age) else ""
 

@@ -1,4 +1,5 @@
-"""Finding the robot in a prior map: collects a submap while it stands, asks the search, and keeps what was found until something changes it."""
+"""Finding the robot in a prior map: collects a submap while it stands, asks the search, and keeps what was found until
+something changes it."""
 
 from __future__ import annotations
 
@@ -65,7 +66,8 @@ class Location:
         self._map: tuple[NDArray[np.float32], Sequence[MapPatch]] | None = None
         """Cloud and ground that are searched; None where nothing can be."""
         self._prior: PriorMap | None = None
-        """Made of these at the first search: it takes seconds for a large map, and a restarted process that was located needs none."""
+        """Made of these at the first search: it takes seconds for a large map, and a restarted process that was located
+        needs none."""
         self._hint: Planar = (0.0, 0.0, 0.0)
         self._told = False
         self._submap = Submap()
@@ -101,7 +103,8 @@ class Location:
             self._say(State(status.location), status.location_detail)
 
     def tell(self, pose: msg.PoseWithCovarianceStamped, odom: msg.Odometry) -> None:
-        """An operator says where the robot stands: only around there it is searched, and without success it is believed."""
+        """An operator says where the robot stands: only around there it is searched, and without success it is
+        believed."""
         place = pose.pose.pose.position
         offset = offset_of((place.x, place.y, yaw_of(pose.pose.pose.orientation)), odom)
         if not all(map(math.isfinite, offset)) or not stands(odom) or self.state is State.NONE:

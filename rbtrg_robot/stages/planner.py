@@ -46,7 +46,8 @@ BACK = 2
 SETTLED = 300_000_000
 """[ns] without a block of the map: the whole of a prior map has come. While the robot maps, blocks come every 0.5 s."""
 AGAIN = 1_500_000_000
-"""From the last part until all are sent, or asked for, once more [ns]; shorter than a restarted elevation process waits for one."""
+"""From the last part until all are sent, or asked for, once more [ns]; shorter than a restarted elevation process waits
+for one."""
 
 
 class PlannerStage:
@@ -68,7 +69,8 @@ class PlannerStage:
     )
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR, t.VIEWPOINTS)
     needs_all = (t.MAP_UPDATE, t.MAP_STATUS)
-    """Without a block the copy of the map is wrong for good, without the status that tells of a new epoch the blocks before the next one go."""
+    """Without a block the copy of the map is wrong for good, without the status that tells of a new epoch the blocks
+    before the next one go."""
 
     def __init__(
         self,
@@ -186,7 +188,8 @@ class PlannerStage:
         return []
 
     def _return_map(self) -> Outputs:
-        """The map for an elevation process that lost it, part by part. It may have all of it and be slow: what is lost is sent again later."""
+        """The map for an elevation process that lost it, part by part. It may have all of it and be slow: what is lost
+        is sent again later."""
         if (due := self._next_parts()) or 0 <= self._now - self._returned < AGAIN:
             return due
         self._returned = self._now
@@ -273,7 +276,8 @@ class PlannerStage:
         return outputs
 
     def _prepare(self, due: bool) -> None:
-        """Once much new ground has come (a prior map), build the graph on it and evaluate its edges before a goal needs them; a step a tick."""
+        """Once much new ground has come (a prior map), build the graph on it and evaluate its edges before a goal needs
+        them; a step a tick."""
         if self._unprepared:
             self._unprepared = False
             self._map.prepare()

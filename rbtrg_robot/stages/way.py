@@ -31,17 +31,22 @@ from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_graph import MapGraph
 
 NEAR = 1.0
-"""A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
+"""A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later,
+may have one."""
 REDRAWS, AT_LEAST, REDRAWN_CELLS = 5, 2, 500_000
-"""Other graphs that are searched at once; fewer, but some, where more cells of the map than so many would be drawn anew together."""
+"""Other graphs that are searched at once; fewer, but some, where more cells of the map than so many would be drawn anew
+together."""
 LOST = 2.0
-"""A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may have been lost."""
+"""A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may
+have been lost."""
 DEAR = 10.0
-"""[m] A leg of a way that costs so much more than it is long, such as a turn over the edge of a kerb, is a reason as well."""
+"""[m] A leg of a way that costs so much more than it is long, such as a turn over the edge of a kerb, is a reason as
+well."""
 WAYS = 4
 """Tried, where they begin with ground that cannot be seen."""
 LEFT = 1.5
-"""[m] from where it crept last, all over ground that was seen, a robot stands at no edge that nobody saw: a creep is 0.35 m long."""
+"""[m] from where it crept last, all over ground that was seen, a robot stands at no edge that nobody saw: a creep is
+0.35 m long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +78,8 @@ class WaySearch:
         self._envelope = envelope
         self._creep = creep
         self._crept: tuple[float, float] | None = None
-        """x, y [m] from where a way last led onto ground that nobody saw: near there the robot may stand at an edge, whatever the goal is now."""
+        """x, y [m] from where a way last led onto ground that nobody saw: near there the robot may stand at an edge,
+        whatever the goal is now."""
         self.rules = DriveRules(params.backward, params.turning, straight=True, guarded=True)
         self._params = params
         self._other: Planner | None = None if params.method == OURS else planner_of(params.method)
@@ -93,16 +99,18 @@ class WaySearch:
         self._looks_over = False
         """The frontier on the way to lies beside virtual ground."""
         self._hidden: list[tuple[float, float, float]] = []
-        """x, y, radius [m] of ground on the way that cannot be seen from where it begins; kept off until it was seen."""
+        """x, y, radius [m] of ground on the way that cannot be seen from where it begins; kept off until it was seen.
+        """
         self._newest: Plan | None = None
         self._forward = False
         """Of the way that is searched nothing is driven backward: the robot does not know the ground behind it."""
 
     def find(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None, now: int) -> Way:
-        """The way from where the robot stands at `now` [ns]. What is left of the path `driven` is kept unless another is clearly better.
+        """The way from where the robot stands at `now` [ns]. What is left of the path `driven` is kept unless another
+        is clearly better.
 
-        A way that begins with ground that cannot be seen from here is left for another: one that backs onto such ground, for one that is driven
-        forward alone. Raises PlanningError.
+        A way that begins with ground that cannot be seen from here is left for another: one that backs onto such
+        ground, for one that is driven forward alone. Raises PlanningError.
         """
         if message.goal_id != self._goal:
             self._begin(message.goal_id)
@@ -164,8 +172,8 @@ class WaySearch:
         )
 
     def _onto_unseen(self, terrain: MapGraph, message: msg.PlanRequest) -> Way | None:
-        """The begin of the best way over ground that nobody saw, to be crept; None where there is none. Frontiers that were looked from count: on the way to
-        them the robot sees no more, but it comes over them."""
+        """The begin of the best way over ground that nobody saw, to be crept; None where there is none. Frontiers that
+        were looked from count: on the way to them the robot sees no more, but it comes over them."""
         self._hidden, self._forward = [], True
         memory, self._memory = self._memory, FrontierMemory()
         try:
@@ -182,8 +190,8 @@ class WaySearch:
     def _in_graphs(
         self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None
     ) -> tuple[Plan, Path]:
-        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, where a way was lost, and where a new one has a leg that is much dearer than
-        long, other graphs are searched for one."""
+        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, where a way was lost, and
+        where a new one has a leg that is much dearer than long, other graphs are searched for one."""
         before, self._newest = self._newest, None
         found: tuple[Plan, Path] | None = None
         none = NoRoute(NoRouteReason.NO_ROUTE, "")
@@ -243,8 +251,8 @@ class WaySearch:
 
 
 def _lost(before: Plan | None, plan: Plan) -> bool:
-    """Whether the way of the plan `before` is better than the other one: it alone leads to the goal, or less is still to be paid. The way to a
-    frontier tells little of what lies behind it."""
+    """Whether the way of the plan `before` is better than the other one: it alone leads to the goal, or less is still
+    to be paid. The way to a frontier tells little of what lies behind it."""
     if before is None or before.reaches_goal is not plan.reaches_goal:
         return before is not None and before.reaches_goal
     return plan.worth > before.worth + LOST

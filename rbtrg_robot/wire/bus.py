@@ -7,7 +7,8 @@ Choices that a measured failure stands behind:
 - congestion control is DROP everywhere: BLOCK lets one hung consumer freeze its producer for 5 s;
 - a message that comes under the key of another topic is refused: Zenoh mixes the keys up for up to 1.5 s after sessions
   have come back to a router that hung (`keys.astray`);
-- a topic with an owner is taken from that process of this stack alone, or from any of its processes: another program on this computer published the
+- a topic with an owner is taken from that process of this stack alone, or from any of its processes: another program on
+  this computer published the
   guard's limits, and the robot drove by them. It is told apart by the stack's id, which is no secret: this is for
   accidents; malice is kept out by the session (`session.py`);
 - loopback, no multicast, one known endpoint.

@@ -101,10 +101,11 @@ def mark(key: str) -> bytes:
 
 
 def astray(data: bytes, expected: bytes) -> bool:
-    """Whether one of our publishers sent the message of this attachment under another key than that of the `mark` expected.
+    """Whether one of our publishers sent the message of this attachment under another key than that of the `mark`
+    expected.
 
-    For up to 1.5 s after a session has come back (its router hung for longer than the lease), Zenoh 1.10 delivers messages
-    under each other's keys. Publishers that are not ours cannot be told so; their messages pass.
+    For up to 1.5 s after a session has come back (its router hung for longer than the lease), Zenoh 1.10 delivers
+    messages under each other's keys. Publishers that are not ours cannot be told so; their messages pass.
     """
     told = data[-len(expected) :]
     return told != expected and told.startswith(OURS)

@@ -125,7 +125,8 @@ def test_the_fit_gives_back_what_made_the_counts() -> None:
 
 
 def test_the_hybrid_controllers_faces_cost_what_the_design_asks() -> None:
-    """Trials of faces up at the price that the planner's rules once had: head-on nothing, at 51 deg much, beyond no way."""
+    """Trials of faces up at the price that the planner's rules once had: head-on nothing, at 51 deg much, beyond no
+    way."""
     trials = [(0.20, a, 8, 0) for a in (0, 10, 20, 30, 40, 45)]
     trials += [(0.20, 48, 16, 1), (0.20, 51, 16, 2), (0.20, 55, 12, 10)]
     trials += [(0.16, a, 8, 0) for a in (0, 10, 20, 30, 40, 45)] + [(0.16, 55, 12, 1), (0.16, 60, 12, 4)]

@@ -203,7 +203,8 @@ def tracker_holds(config: StackConfig) -> None:
 
 
 def robot_obeys(config: StackConfig) -> None:
-    """The driver starts with a healthy robot, stops it when LowState ends, and is not fooled by one that ignores Move or StopMove."""
+    """The driver starts with a healthy robot, stops it when LowState ends, and is not fooled by one that ignores Move
+    or StopMove."""
     world = World(Faults(), options=config.unitree_options())
     world.backend.connect()
     world.until(Phase.READY, 10.0)

@@ -1,4 +1,5 @@
-"""Battery and link faults on the way to a goal, the whole stack in lockstep: is the robot home, or does it do what was chosen?
+"""Battery and link faults on the way to a goal, the whole stack in lockstep: is the robot home, or does it do what was
+chosen?
 
 One line per trial goes to `--out` (JSON); trials that stand in it are not driven again.
 """
@@ -29,7 +30,8 @@ FAULTS = (
     *("battery/goal", "battery/mission", "battery/stands", "battery/stays"),
     *("link/continue", "link/hold", "link/return", "link/contact"),
 )
-"""battery: it runs low on the way of a goal, of a mission, at the goal, with --no-return. link: nobody is in contact, with the choice; `contact`: somebody is again on the way home."""
+"""battery: it runs low on the way of a goal, of a mission, at the goal, with --no-return. link: nobody is in contact,
+with the choice; `contact`: somebody is again on the way home."""
 SILENT = 3.0
 """[s] `comms.timeout`."""
 SHARE = 0.5

@@ -8,7 +8,8 @@
 | a motor too hot, too fast, outside its range, or that loses messages | soft |
 | the controller fails, or asks for what is not a number | soft |
 | L2 and B on the robot's own remote | soft |
-| the robot's own motion service has the motors again | nothing is sent any more, the loop ends: two commanders shake the robot |
+| the robot's own motion service has the motors again | nothing is sent any more, the loop ends: two commanders shake
+the robot |
 | a stick of it moves | velocity zero |
 
 Soft is a fault that RECOVER or DAMP alone leave, except the remote's, which STAND leaves, too.

@@ -43,9 +43,9 @@ TELL = NS
 
 
 class MissionStage:
-    """Orders of operators in; goals, postures and the state of the mission out.
-    In: requests, the presence of operators, the states of navigator and robot, which map is loaded, the pose. Out: the accepted order and its
-    state, which together hold all that a restarted stage needs; goals for the navigator; `stand` and `sit` for the robot. It
+    """Orders of operators in; goals, postures and the state of the mission out. In: requests, the presence of
+    operators, the states of navigator and robot, which map is loaded, the pose. Out: the accepted order and its state,
+    which together hold all that a restarted stage needs; goals for the navigator; `stand` and `sit` for the robot. It
     decides which step is next and what follows a failure. It never plans and never publishes a velocity.
     """
 

@@ -171,7 +171,8 @@ class Exploration:
         way: float = math.nan,
         low: str = "",
     ) -> Verdict:
-        """From the newest words of navigator and robot; `way` home [m] (`way_home`), and why the battery needs it to begin."""
+        """From the newest words of navigator and robot; `way` home [m] (`way_home`), and why the battery needs it to
+        begin."""
         if self._drive is not None and self._target is not None:
             drive = self._drive.verdict(now, goal, robot)
             if drive.outcome is Outcome.NEEDS_OPERATOR:

@@ -11,7 +11,8 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 Place = tuple[float, float]
 
 SPACING = 0.3
-"""[m] between two places, and within which two of them are joined: less than the body is wide, so no wall stands between."""
+"""[m] between two places, and within which two of them are joined: less than the body is wide, so no wall stands
+between."""
 AT_HOME = 0.6
 """[m] A place so near to home is joined to it."""
 JUMP = 1.0

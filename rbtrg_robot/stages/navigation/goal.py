@@ -75,8 +75,8 @@ class GoalArea:
 
 
 def over_unseen(plan: msg.Plan) -> str:
-    """How much of a way leads over ground that nobody saw or that is assumed, in plain words; empty for less than `UNSEEN`. At most: each
-    transition counts with the unseen share of its worst pose."""
+    """How much of a way leads over ground that nobody saw or that is assumed, in plain words; empty for less than
+    `UNSEEN`. At most: each transition counts with the unseen share of its worst pose."""
     if len(plan.transition_length) != len(plan.transition_unknown):
         return ""
     metres = float(plan.transition_length @ plan.transition_unknown)
@@ -125,7 +125,8 @@ class Goal:
 
     @classmethod
     def from_request(cls, message: msg.GoalRequest, now: int) -> Goal:
-        """From rbtrg_msgs/GoalRequest. One without an id is known by its stamp: otherwise the next would be taken for a repeat of it."""
+        """From rbtrg_msgs/GoalRequest. One without an id is known by its stamp: otherwise the next would be taken for a
+        repeat of it."""
         yaw = message.yaw if message.has_yaw else None
         known = message.id or f"request-{stamp_of(message) or now}"
         goal = cls(known, message.x, message.y, yaw, now, message.timeout, message.owner)

@@ -44,7 +44,8 @@ CREEPING = "creeping over ground nobody saw"
 MOVE_ON = 0.15
 """[m]: the front wheels stay in the circle that the body turns in, which the planner has looked at."""
 HELD = 2.5
-"""Seconds from a plan to the next one while the guard holds the robot: the tracker makes a bend of a short turn after 2 s."""
+"""Seconds from a plan to the next one while the guard holds the robot: the tracker makes a bend of a short turn after 2
+s."""
 NEARER = 0.05
 """[m] by which a plan must end nearer to the goal than a robot that is there, or it is there for good."""
 LOOK_AGAIN = 1.0
@@ -388,7 +389,8 @@ class NavigatorStage:
             self._keep_off(goal, self._recovery.touched(place.x, place.y), way)
 
     def _keep_off(self, goal: Goal, measure: Measure, way: float) -> None:
-        """The robot felt what the map did not tell, ahead, `way` 1.0, or behind, -1.0: get away from it, then replan around it; or give up."""
+        """The robot felt what the map did not tell, ahead, `way` 1.0, or behind, -1.0: get away from it, then replan
+        around it; or give up."""
         self._query.drop()
         if measure is Measure.GIVE_UP:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, "choose another goal")
@@ -397,8 +399,8 @@ class NavigatorStage:
             self._replan(goal)
 
     def _move_out(self, goal: Goal, barred: float = 0.0) -> bool:
-        """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where the guard holds it; False when
-        there is none."""
+        """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where
+        the guard holds it; False when there is none."""
         ways = self._inputs.held | {barred}
         if self._recovery.at_edge:
             ways |= {1.0}  # the body covered what lies below the edge, too

@@ -34,8 +34,8 @@ where it was."""
 BESIDE = 0.15
 """[m] beside a path a robot is off it. Plans that keep the path that is driven reach as far."""
 STRAY = 0.10
-"""[m] beside the line of a recovery a robot is off the ground that it covered on its way: it stands and asks for a path. One that backed out of the edge of a
-bridge slid 0.22 m aside within a second and fell."""
+"""[m] beside the line of a recovery a robot is off the ground that it covered on its way: it stands and asks for a
+path. One that backed out of the edge of a bridge slid 0.22 m aside within a second and fell."""
 TRAIL_SPACING = 0.05
 TRAIL_LENGTH = 100
 TRAIL_ANGLE = 0.1
@@ -55,10 +55,11 @@ OVER_EDGE = 3.0
 
 
 class RouteWatch:
-    """Whether the route that is driven still holds. While the robot stands on a face that the route crosses, it goes on for a moment.
+    """Whether the route that is driven still holds. While the robot stands on a face that the route crosses, it goes on
+    for a moment.
 
-    On the face the robot cannot stop and turn without a risk to tip, and the face under it looks different in every map. What is
-    really in the way is the guard's business, which knows no routes.
+    On the face the robot cannot stop and turn without a risk to tip, and the face under it looks different in every
+    map. What is really in the way is the guard's business, which knows no routes.
     """
 
     def __init__(self) -> None:
@@ -87,8 +88,8 @@ class RouteWatch:
 
 
 class Slide:
-    """A robot that is beside its path and comes no nearer to it is where the planner did not look. One slid onto a hurdle, 0.28 m beside its path, and fell;
-    turns on the spot move others by 0.2 m, and they come back to it."""
+    """A robot that is beside its path and comes no nearer to it is where the planner did not look. One slid onto a
+    hurdle, 0.28 m beside its path, and fell; turns on the spot move others by 0.2 m, and they come back to it."""
 
     def __init__(self) -> None:
         self._began: tuple[int, float] | None = None
@@ -183,8 +184,8 @@ class Trail:
     def reach(self, pose: Pose2, distance: float, barred: Collection[float] = ()) -> float:
         """How far straight along the heading, at most `distance` [m], the body stays on ground it covered.
 
-        Negative: backward, which also wins a tie. `barred`: -1.0 and 1.0 where it cannot go backward or forward. 0.0 while the robot
-        came from nowhere.
+        Negative: backward, which also wins a tie. `barred`: -1.0 and 1.0 where it cannot go backward or forward. 0.0
+        while the robot came from nowhere.
         """
         if len(self._poses) < 2:
             return 0.0

@@ -194,7 +194,8 @@ def test_a_gap_whose_rim_the_map_shows_half_as_deep_is_crossed(
 def test_a_robot_that_climbs_half_the_depth_of_a_gap_crosses_it_too(
     front: float, floor: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cells half over the gap are a step for it: it must not be taken to stand on the floor when the near rim is out of sight under its body."""
+    """Cells half over the gap are a step for it: it must not be taken to stand on the floor when the near rim is out of
+    sight under its body."""
     monkeypatch.setitem(globals(), "ROBOT", replace(ROBOT, max_step=0.20))
     height, col = np.zeros_like(X), round(0.6 / RES) + N // 2
     height[:, col : col + 3] = floor

@@ -25,7 +25,8 @@ def ground(height: Callable[[np.ndarray], np.ndarray] = np.zeros_like) -> np.nda
 
 
 class Run:
-    """The bare robot at the origin, driven by hand; what the watch tells of it, and when something but a wheel's tread on the ground touched it."""
+    """The bare robot at the origin, driven by hand; what the watch tells of it, and when something but a wheel's tread
+    on the ground touched it."""
 
     def __init__(
         self,
@@ -140,7 +141,8 @@ def test_a_face_is_climbed_where_the_map_tells_it_and_touched_where_it_does_not(
 
 
 def pushed(forces: list[float], uneven: float) -> list[Touch]:
-    """What is told of forces [N] on the body, one each joint sample, while it is slower than it should be and no wheel pushes."""
+    """What is told of forces [N] on the body, one each joint sample, while it is slower than it should be and no wheel
+    pushes."""
     watch, touches = TouchWatch(), []
     for k, force in enumerate(forces):
         stamp = k * NS // 50

@@ -115,7 +115,8 @@ def test_a_notch_in_a_wall_and_a_ditch_before_a_wall_are_none() -> None:
 
 
 def approach(width: float, angle: float, near: float) -> Iterator[ElevationMap]:
-    """The map of a robot of `max_gap` 0.12 m that drives at 0.45 m/s towards a slit 2 m deep, until its front is `near` [m] before it."""
+    """The map of a robot of `max_gap` 0.12 m that drives at 0.45 m/s towards a slit 2 m deep, until its front is `near`
+    [m] before it."""
     res, origin, edge = 0.01, (-1.5, -1.0), 1.6
     y, x = np.mgrid[:201, :501] * res + np.array([origin[1], origin[0]])[:, None, None]
     across = (x - edge) * math.cos(angle) + y * math.sin(angle)

@@ -271,7 +271,8 @@ def test_bad_updates_are_typed_errors() -> None:
 
 
 def crossings(keep: float) -> tuple[int, int]:
-    """Maps of a noisy kerb at the step limit: how often the ground beyond it stayed reachable to the next, and of how many."""
+    """Maps of a noisy kerb at the step limit: how often the ground beyond it stayed reachable to the next, and of how
+    many."""
     rng = np.random.default_rng(4)
     x = np.mgrid[0:75, 0:100][1] * 0.04
     graph, stayed, were = None, 0, 0

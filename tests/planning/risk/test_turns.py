@@ -25,7 +25,8 @@ from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
 
 BODY = BodyModel()
 SHRINK = 0.03
-"""Half a heading step of 5 deg moves a corner 0.018 m, and a face lies up to half a cell from where its cells are [m]."""
+"""Half a heading step of 5 deg moves a corner 0.018 m, and a face lies up to half a cell from where its cells are [m].
+"""
 
 
 def straddles(scene: Scene, pose: np.ndarray, step: float) -> bool:

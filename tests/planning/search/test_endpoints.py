@@ -158,7 +158,8 @@ def test_what_blocks_the_way_to_a_goal_behind_a_wall_is_judged_from_near() -> No
 
 
 def test_a_goal_close_behind_a_wall_is_not_near() -> None:
-    """A robot that drove past it on its way around lost the way for a moment, and ended its goal with `the last 0.98 m are not drivable` (lane 623)."""
+    """A robot that drove past it on its way around lost the way for a moment, and ended its goal with `the last 0.98 m
+    are not drivable` (lane 623)."""
     y, x = np.mgrid[0:60, 0:120] * 0.05
     ring = np.maximum(np.abs(x - 1.5), np.abs(y - 1.5))
     grid, graph = world(np.where(np.abs(ring - 1.0) < 0.06, 1.0, 0.0))
@@ -294,7 +295,8 @@ def test_a_robot_whose_front_wheels_are_down_a_high_kerb_does_not_begin_backward
 
 
 def test_a_robot_half_down_a_kerb_that_it_met_askew_drives_on() -> None:
-    """Its left wheels are down and its right ones up: it rolls more than the limit of slopes, and stands there all the same."""
+    """Its left wheels are down and its right ones up: it rolls more than the limit of slopes, and stands there all the
+    same."""
     y, x = np.mgrid[0:100, 0:150] * 0.04
     a = np.radians(52.0)
     height = np.where((x - 3.0) * np.cos(a) + (y - 2.0) * np.sin(a) > 0.0, 0.0, 0.21).astype(np.float32)
@@ -306,7 +308,8 @@ def test_a_robot_half_down_a_kerb_that_it_met_askew_drives_on() -> None:
 
 
 def test_a_robot_astride_a_kerb_drives_straight_on_before_it_bends() -> None:
-    """Its left rear wheel is not up yet: at the heading of a bend it would come to the kerb at 65 deg, and of such drives most end there."""
+    """Its left rear wheel is not up yet: at the heading of a bend it would come to the kerb at 65 deg, and of such
+    drives most end there."""
     y, x = np.mgrid[0:100, 0:150] * 0.04
     a = np.radians(-55.0)
     height = np.where((x - 3.0) * np.cos(a) + (y - 2.0) * np.sin(a) > 0.0, 0.19, 0.0).astype(np.float32)

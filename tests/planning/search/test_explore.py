@@ -302,7 +302,8 @@ def test_a_frontier_that_moved_on_is_kept_and_one_beside_it_that_lies_back_is_an
 
 
 def unseen_between(detour: bool) -> ElevationGrid:
-    """8 x 4 m of level ground. Between x = 4 and 6 m rays passed low everywhere, or only behind a wall along the middle: the straight way is dark there."""
+    """8 x 4 m of level ground. Between x = 4 and 6 m rays passed low everywhere, or only behind a wall along the
+    middle: the straight way is dark there."""
     y, x = np.mgrid[0:100, 0:200] * 0.04
     gap = (x > 4.0) & (x < 6.0)
     z = np.zeros(x.shape, np.float32)

@@ -11,7 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import psutil
@@ -34,6 +33,7 @@ from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.terminal import say
 from rbtrg_robot.wire.messages import encode, header, time_msg
 from tests.rbtrg_robot.conftest import Here
+from tests.rbtrg_robot.strangers import until
 from tools.bench.ports import free_port
 
 
@@ -311,11 +311,7 @@ def test_a_stack_that_is_not_ready_yet_ends_with_the_command_that_began_it(
     caller = psutil.Process(begun.pid)
     children: list[psutil.Process] = []
     try:
-        deadline = time.monotonic() + 60.0
-        while not children and time.monotonic() < deadline and begun.poll() is None:
-            children = caller.children()
-            time.sleep(0.02)
-        assert children, "it began a stack"
+        until(lambda: bool(children.extend(caller.children()) or children))  # it began a stack
         begun.send_signal(ended_by)
         assert begun.wait(20.0) != 0
         _, left = psutil.wait_procs(children, timeout=20.0)

@@ -74,7 +74,8 @@ def test_nothing_heavy_is_imported_before_it_is_sent() -> None:
 
 
 class Robot:
-    """A robot that latches at the n-th stop it hears. Until then it tells of a stop that somebody else released long ago."""
+    """A robot that latches at the n-th stop it hears. Until then it tells of a stop that somebody else released long
+    ago."""
 
     def __init__(self, endpoint: str, latches_at: int, name: str = ROBOT, *, router: bool = True) -> None:
         self.heard = 0

@@ -1,4 +1,5 @@
-"""The door for programs: what it takes, what it refuses, and that it always answers. The client is that of `docs/extend.md`."""
+"""The door for programs: what it takes, what it refuses, and that it always answers. The client is that of
+`docs/extend.md`."""
 
 from __future__ import annotations
 

@@ -57,7 +57,8 @@ def console(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 @pytest.fixture
 def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable[..., Page]]:
-    """A page of its own, once it shows the robot: from above, for without a graphics card 3D takes ten times the processor."""
+    """A page of its own, once it shows the robot: from above, for without a graphics card 3D takes ten times the
+    processor."""
     robot.reset()
     contexts: list[BrowserContext] = []
 
@@ -436,8 +437,8 @@ NOT_CONFIRMED = "document.querySelector('#stop-said').textContent.includes('NOT 
 def test_a_page_that_comes_back_takes_no_state_of_before_for_an_answer_to_its_stop(
     visit: Callable[..., Page], robot: Robot, server: str
 ) -> None:
-    """The stop of before was confirmed and released; the next one is pressed during a break. `anew`: the console was started again, counts
-    stops from 1 and takes this one before the page's connection is back.
+    """The stop of before was confirmed and released; the next one is pressed during a break. `anew`: the console was
+    started again, counts stops from 1 and takes this one before the page's connection is back.
     """
     page = visit(wait=False)
     page.add_init_script(BREAKABLE)

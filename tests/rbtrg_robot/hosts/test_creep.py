@@ -1,4 +1,5 @@
-"""The whole stack before ground that sends no ray back (water, black, wet): a robot whose wheels feel edges creeps over it, and stops at what is no ground."""
+"""The whole stack before ground that sends no ray back (water, black, wet): a robot whose wheels feel edges creeps over
+it, and stops at what is no ground."""
 
 from __future__ import annotations
 

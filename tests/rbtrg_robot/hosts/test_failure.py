@@ -28,7 +28,8 @@ __all__ = ["clocks"]
 def test_the_robot_is_stopped_and_lies_down_at_the_end_of_the_stack_alone(
     fails: bool, clocks: Time, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever ends the process by an error, another one starts: until then the robot stands where it is, on a stair too."""
+    """Whatever ends the process by an error, another one starts: until then the robot stands where it is, on a stair
+    too."""
     world = World(options=UnitreeConfig(lidars=only("xt16")))
     monkeypatch.setattr(robot_process, "_hardware", lambda _config, _clock: world.backend)
     loaded: list[int] = []

@@ -1,4 +1,5 @@
-"""A robot that was pushed over gets up, knows where it is and goes on with its goal: the whole stack, judged by the truth it never sees."""
+"""A robot that was pushed over gets up, knows where it is and goes on with its goal: the whole stack, judged by the
+truth it never sees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The whole stack before a belt of grass: it drives through, slowly, and keeps off the box that is as high as the grass."""
+"""The whole stack before a belt of grass: it drives through, slowly, and keeps off the box that is as high as the
+grass."""
 
 from __future__ import annotations
 

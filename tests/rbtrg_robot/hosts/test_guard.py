@@ -97,7 +97,8 @@ def test_nobody_drives_it_into_a_wall_by_hand(way: float) -> None:
 
 
 def test_beside_a_wall_it_is_driven_along_it_by_hand_both_ways(tmp_path: Path) -> None:
-    """Its side is 2 cm off, less than the map tells: cells of the wall lie in its body, some of them ahead, some behind."""
+    """Its side is 2 cm off, less than the map tells: cells of the wall lie in its body, some of them ahead, some
+    behind."""
     x, y = np.meshgrid(np.arange(401) * 0.02 - 4.0, np.arange(201) * 0.02 - 2.0)
     file = tmp_path / "wall.npz"
     ramp = np.where(y > 0.03, 0.18 * np.clip((x - 0.5) / 0.8, 0.0, 1.0), 0.0)

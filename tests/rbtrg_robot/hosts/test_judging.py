@@ -24,7 +24,8 @@ START = 1_700_000_000 * NS
 
 
 def run(folder: Path) -> Path:
-    """10 s at 0.5 m/s that tilt by up to 20 deg; odometry is degraded for the first 0.5 s; truth is 0.1 m to the side, and shorter by a tenth."""
+    """10 s at 0.5 m/s that tilt by up to 20 deg; odometry is degraded for the first 0.5 s; truth is 0.1 m to the side,
+    and shorter by a tenth."""
     log = folder / "run.mcap"
     config = load(None, [], scene="flat")
     with LogWriter(log, {}, {CONFIG: config.to_yaml().encode()}) as writer:

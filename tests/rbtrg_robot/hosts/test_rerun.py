@@ -1,4 +1,5 @@
-"""A re-run of a live log: a process that is late, and whose newest message overtook others, is made again byte for byte."""
+"""A re-run of a live log: a process that is late, and whose newest message overtook others, is made again byte for
+byte."""
 
 from __future__ import annotations
 

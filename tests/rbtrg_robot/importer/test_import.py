@@ -1,4 +1,5 @@
-"""Bags of others become runs of ours: every container, every layout of a cloud, and a plain word where something is missing."""
+"""Bags of others become runs of ours: every container, every layout of a cloud, and a plain word where something is
+missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A whole stack, a real page and a program: a goal pressed on the ground moves the robot, STOP makes it stand; the client of the docs drives."""
+"""A whole stack, a real page and a program: a goal pressed on the ground moves the robot, STOP makes it stand; the
+client of the docs drives."""
 
 from __future__ import annotations
 

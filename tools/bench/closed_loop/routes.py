@@ -120,8 +120,8 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
 
 
 def _as_it_drives(name: str, query: int, controller: Controller) -> Route:
-    """As the planner process does it: corrected graph within the controller's limits, real endpoints, straight chords, backward where that
-    costs less, the path with its guard, its speeds and its headings.
+    """As the planner process does it: corrected graph within the controller's limits, real endpoints, straight chords,
+    backward where that costs less, the path with its guard, its speeds and its headings.
     """
     scene = scene_of(name)
     grid, body = survey_grid(scene), BodyModel()

@@ -1,4 +1,5 @@
-"""A cheap stack for the console: a made-up robot on made-up ground that answers as the real one does, and the console beside it."""
+"""A cheap stack for the console: a made-up robot on made-up ground that answers as the real one does, and the console
+beside it."""
 
 from __future__ import annotations
 

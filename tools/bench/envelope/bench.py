@@ -9,8 +9,9 @@
 With `--write` it counts failures of motions (docs/envelope.md) and adds the trials to the controller's file.
 Nobody measured the vendor's service (`sport`): its file is made from that of `ASSUMED_FROM`, and says so.
 
-A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at most three
-times the nominal time. Each course is driven three times: wheel friction 0.6, 0.8, 1.0, each with its own start offset.
+A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at
+most three times the nominal time. Each course is driven three times: wheel friction 0.6, 0.8, 1.0, each with its own
+start offset.
 """
 
 from __future__ import annotations
@@ -124,7 +125,8 @@ def run(args: list[str]) -> Report:
 
 
 def counted(envelope: Envelope) -> Report:
-    """What stands in an envelope: drives, trials, failures of each kind, how well the fit predicts, and the limits read off it."""
+    """What stands in an envelope: drives, trials, failures of each kind, how well the fit predicts, and the limits read
+    off it."""
     report = Report("envelope")
     for name, table in envelope.manoeuvres.items():
         key = f"{{}}.{envelope.controller}.{name}"

@@ -82,7 +82,8 @@ def _gap(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
 
 
 def _crossing(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    """Half ramps of 0.6 m in two lanes; where the left lane rises, the right lane falls. No lane begins or ends with a face."""
+    """Half ramps of 0.6 m in two lanes; where the left lane rises, the right lane falls. No lane begins or ends with a
+    face."""
     top = 0.6 * np.tan(np.radians(value))
     left = np.where(x < AT + 2.4, _wave(x - AT, 0.6), 0.0)
     right = np.where(x < AT + 3.0, _wave(x - AT - 0.6, 0.6), 0.0)

@@ -19,8 +19,8 @@ from tools.bench.report import Report
 def running(
     report: Report, folder: Path, logs: Path, *arguments: str, ended: bool = False, cold: bool = False
 ) -> Iterator[Bus]:
-    """`up --detach` with its runtime files in `folder`, and a bus beside it; adds `start_s` and `down_s`. `ended`: the caller ends it.
-    `cold`: no kernel is kept, as at the first start of all."""
+    """`up --detach` with its runtime files in `folder`, and a bus beside it; adds `start_s` and `down_s`. `ended`: the
+    caller ends it. `cold`: no kernel is kept, as at the first start of all."""
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
     if cold:
         environment["NUMBA_CACHE_DIR"] = str(folder / "kernels")

@@ -1,6 +1,8 @@
-"""Bags, layouts, trajectories and files of others: each a row that is 1 where it is read, or refused with the words that help.
+"""Bags, layouts, trajectories and files of others: each a row that is 1 where it is read, or refused with the words
+that help.
 
-`--data FOLDER` adds public clips and files that lie there (`real/`, `files/`, `terrain/`): how far each scan moved, how well neighbours fit.
+`--data FOLDER` adds public clips and files that lie there (`real/`, `files/`, `terrain/`): how far each scan moved, how
+well neighbours fit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Files of others, made up: each format and each defect that was called broken once, and logs with what others put into them."""
+"""Files of others, made up: each format and each defect that was called broken once, and logs with what others put into
+them."""
 
 from __future__ import annotations
 

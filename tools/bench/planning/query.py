@@ -2,10 +2,10 @@
 
 Least CPU time of this thread over repeats. `query_ms` finds nothing cached: it makes the risk table and evaluates what
 it needs. `replan_ms` does the same after 2 % of the cells changed, once from nothing (its baseline) and once with the
-table from before. `sample_ns` is the time of a pose over all samples of the footprint, also those that a tile's
-ceiling made needless to look at. Baselines, from the same run, are plain numpy (`planning.risk.reference`): its time per sample,
-and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of the states
-it expands.
+table from before. `sample_ns` is the time of a pose over all samples of the footprint, also those that a tile's ceiling
+made needless to look at. Baselines, from the same run, are plain numpy (`planning.risk.reference`): its time per
+sample, and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of the
+states it expands.
 """
 
 from __future__ import annotations
@@ -142,12 +142,14 @@ def rows(report: Report, large: RiskTable) -> None:
 
 
 def stack_rows(report: Report, large: RiskTable) -> None:
-    """What the planner stage does for one answer on the large map, by its own code (`WaySearch.find`): table, query with turns that the guard asks,
-    path, and the part of it that is driven. The map has been taken already and the kernels are compiled.
+    """What the planner stage does for one answer on the large map, by its own code (`WaySearch.find`): table, query
+    with turns that the guard asks, path, and the part of it that is driven. The map has been taken already and the
+    kernels are compiled.
 
-    `prepared`: the first goal of a new process that has prepared for the map (`MapGraph.prepare`), as it does before one comes. `cold`: the same
-    where the goal comes with the map, and no edge is evaluated. `warm`: the next answers to this goal, the robot at the same place, each after an
-    update of 2 x 2 m; the update of the graph has a row of its own. `moving`: the robot 1 m on along its path each time, and the updates within 4 m of it.
+    `prepared`: the first goal of a new process that has prepared for the map (`MapGraph.prepare`), as it does before
+    one comes. `cold`: the same where the goal comes with the map, and no edge is evaluated. `warm`: the next answers to
+    this goal, the robot at the same place, each after an update of 2 x 2 m; the update of the graph has a row of its
+    own. `moving`: the robot 1 m on along its path each time, and the updates within 4 m of it.
     """
     grid, graph = large.grid, large.graph
     x0, y0, x1, y1 = grid.extent

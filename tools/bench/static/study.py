@@ -45,7 +45,8 @@ class Instance:
     untrusted: float
     cost: float
     least: tuple[float, float, float]
-    """Least largest d_fb, a_lr, p_int of any route between these two nodes, each by a route of its own, turns left out."""
+    """Least largest d_fb, a_lr, p_int of any route between these two nodes, each by a route of its own, turns left out.
+    """
 
 
 def measure(route: Plan) -> tuple[float, float, float, float, float]:
@@ -127,7 +128,8 @@ def macro(scenes: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
 def interval(
     variant: dict[str, NDArray[np.float64]], native: dict[str, NDArray[np.float64]], draws: int = 10_000
 ) -> NDArray[np.float64]:
-    """(2, 5) 95 % bootstrap interval of the relative change of the macro mean: whole queries are resampled within their scene, paired."""
+    """(2, 5) 95 % bootstrap interval of the relative change of the macro mean: whole queries are resampled within their
+    scene, paired."""
     rng = np.random.default_rng(0)
     picks = {s: rng.integers(0, len(v), (draws, len(v))) for s, v in native.items()}
     top = np.mean([variant[s][picks[s]].mean(axis=1) for s in native], axis=0)

@@ -32,12 +32,10 @@ from planning.risk.turns import ASKEW, BEND
 
 Array = NDArray[np.float64]
 
-SPACING, SWEEP = 0.02, math.radians(5.0)
+SPACING, SWEEP = 0.10, math.radians(5.0)
 """Of the poses along a move [m] and in a turn [rad]."""
 FOOT = 0.10
 """Foot and top of a face lie so far [m] before and behind its middle."""
-SLOPE_SPACING = 0.10
-"""Of the poses at which the slope of the ground is told [m]."""
 BESIDE = 0.10
 """Farthest from the wheels that an edge lies beside them [m], as in the trials."""
 EDGE = 10
@@ -250,9 +248,8 @@ class Drive:
         return float(h), what
 
     def _slope_and_posts(self) -> Iterator[Part]:
-        """What each stretch of a move costs, `SLOPE_SPACING` long."""
-        n = round(SLOPE_SPACING / SPACING)
-        at = np.flatnonzero(self._turn == 0.0)[::n]
+        """What each stretch of a move costs, `SPACING` long."""
+        at = np.flatnonzero(self._turn == 0.0)
         pose, move = self._pose[at], self._move[at]
         run = np.hypot(*np.diff(self._way.xy, axis=0).T)
         samples = np.maximum(np.bincount(move, minlength=len(run)), 1)

@@ -23,7 +23,6 @@ export const THEMES = {
     chosen: [96, 70, 0, 255],
     allowed: [0, 88, 38, 255],
     drawn: [112, 0, 140, 255],
-    keepout: [158, 0, 0, 255],
   },
   dark: {
     ramp: [[102, 135, 140], [168, 173, 143], [219, 191, 148]], // prettier-ignore
@@ -45,7 +44,6 @@ export const THEMES = {
     chosen: [255, 208, 40, 255],
     allowed: [90, 220, 130, 255],
     drawn: [226, 150, 255, 255],
-    keepout: [255, 140, 130, 255],
   },
 };
 

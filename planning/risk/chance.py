@@ -36,8 +36,6 @@ SPACING, SWEEP = 0.10, math.radians(5.0)
 """Of the poses along a move [m] and in a turn [rad]."""
 FOOT = 0.10
 """Foot and top of a face lie so far [m] before and behind its middle."""
-BESIDE = 0.10
-"""Farthest from the wheels that an edge lies beside them [m], as in the trials."""
 EDGE = 10
 """So many of the samples under and beside the wheels, 3 cm apart, may be higher than the edge there: the highest one is
 noise."""

@@ -12,7 +12,6 @@ from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.messages import type_hash
 
-ENCAPSULATION_BYTES = 4
 OURS = b"rbtg"
 """In the gid of every publisher of ours."""
 

@@ -94,7 +94,7 @@ class MapPlanner:
         self.config = config = config or load()
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)
-        elevation = ElevationMap(config.elevation)
+        elevation = ElevationMap(config.elevation, config.crossing())
         self.start, self.goals, self.taken = _fill(elevation, ground, config, start)
         self._asked: tuple[float, float] | None = None
         """The goal of the newest question that was searched."""
@@ -231,7 +231,7 @@ class MapPlanner:
 
 def map_of(ground: str | ElevationGrid, config: StackConfig) -> tuple[ElevationMap, str]:
     """What `MapPlanner` reads, as a map, and what had to be guessed of it. Raises ConfigError, SceneError, MapError."""
-    elevation = ElevationMap(config.elevation)
+    elevation = ElevationMap(config.elevation, config.crossing())
     _, _, taken = _fill(elevation, ground, config, None)
     return elevation, taken
 

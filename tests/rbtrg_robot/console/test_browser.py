@@ -211,7 +211,7 @@ CONTRAST = """async () => {
     const light = ([r, g, b]) => [r, g, b].map(v => v / 255).map(v => v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4)
         .reduce((sum, v, k) => sum + v * [.2126, .7152, .0722][k], 0);
     const contrast = (a, b) => (Math.max(light(a), light(b)) + .05) / (Math.min(light(a), light(b)) + .05);
-    const lines = ['route', 'preview', 'goal', 'home', 'worst', 'step', 'allowed', 'keepout', 'drawn'];
+    const lines = ['route', 'preview', 'goal', 'home', 'worst', 'step', 'allowed', 'drawn'];
     const { ramp, shade, grid } = THEMES.light;
     return [...Object.values(THEMES).flatMap(theme => lines.map(name => contrast(theme[name], theme.casing))),
         ...ramp.map(ground => contrast(ground.map(v => v * shade[0]), grid[0]))];

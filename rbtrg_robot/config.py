@@ -28,6 +28,7 @@ from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.holes import Crossing
 from mapping.grid import FARTHEST
+from mapping.odometry.own import OwnPart
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
@@ -110,6 +111,10 @@ class StackConfig(BaseModel):
     )
     lidars: tuple[LidarConfig, ...] = Field(
         DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"
+    )
+    own_parts: tuple[OwnPart, ...] = Field(
+        (),
+        description="boxes in base_link that are parts of the robot, beside its body: no LiDAR return counts there",
     )
     camera: CameraConfig = CameraConfig()
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")

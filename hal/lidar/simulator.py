@@ -82,7 +82,9 @@ class LidarSimulator:
         noise: bool = True,
         name: LidarName = "main",
         plants: Sequence[Clump] = (),
+        parts: Sequence[OrientedBox] = (),
     ) -> None:
+        """`parts`: boxes in base_link that are mounted on the robot, and that the rays hit."""
         self.spec = spec
         self.name = name
         self.mount = mount
@@ -95,6 +97,7 @@ class LidarSimulator:
         self._body = pack_boxes(tuple(self_filter))
         self._boxes = pack_boxes(())
         self._plants = pack_clumps(plants)
+        self._parts = pack_boxes(tuple(parts))
         self._pattern: (
             tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.uint16], NDArray[np.bool_]] | None
         )
@@ -203,6 +206,11 @@ class LidarSimulator:
             terrain = ranges.copy()
             cast_onto_boxes(self._boxes, origins, directions, ranges)
             sweep.cosine[due][ranges < terrain] = 1.0
+        if len(self._parts):
+            scene = ranges.copy()
+            here = np.ascontiguousarray(np.broadcast_to(self._offset.astype(np.float32), origins.shape))
+            cast_onto_boxes(self._parts, here, np.ascontiguousarray(sweep.beams[due]), ranges)
+            sweep.cosine[due][ranges < scene] = 1.0
         if len(self._plants):
             leaf = np.zeros(len(ranges), np.bool_)
             cast_clumps(self._plants, origins, directions, sweep.leaves[:, due], ranges, leaf)

@@ -190,6 +190,7 @@ class MujocoBackend:
             noise=o.noise,
             name=lidar.name,
             plants=self.scene.plants,
+            parts=[OrientedBox(part.centre, part.size) for part in o.parts],
         )
 
     def _check_connected(self) -> None:

@@ -50,6 +50,16 @@ class Obstacle:
     """No ray comes back from it, as from glass, a thin post, or a bar between the beams."""
 
 
+@dataclass(frozen=True, slots=True, config=_CHECKED)
+class Part:
+    """A box mounted on the robot, an antenna or a bag: LiDAR rays hit it. It has no mass and touches nothing."""
+
+    centre: tuple[float, float, float]
+    """[m], base_link."""
+    size: tuple[float, float, float]
+    """Full lengths [m]."""
+
+
 class SimConfig(BaseModel):
     """The simulated robot. The defaults give a plain one with sensor noise and no faults."""
 
@@ -79,3 +89,4 @@ class SimConfig(BaseModel):
         0, ge=0, le=20, description="people who walk past the robot, and step aside for it; level ground"
     )
     obstacles: tuple[Obstacle, ...] = Field((), description="boxes that come, move and go")
+    parts: tuple[Part, ...] = Field((), description="boxes mounted on the robot that the LiDARs see")

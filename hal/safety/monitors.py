@@ -439,6 +439,19 @@ HOLE_WIDTH = Monitor(
     setting="graph.max_gap", against="rims on both sides", test="mapping/elevation/test_holes.py",
 )  # fmt: skip
 
+OWN_PARTS = Monitor(
+    name="own parts",
+    stream="LiDAR sweeps",
+    check=Check.REPEAT,
+    consequence=Consequence.TELL,
+    judge="odometry",
+    words="the LiDARs see something that moves with the robot and holds its turns: set own_parts: [{parts}]",
+    remedy="take it off, or set own_parts in the configuration; `rbtrg-robot calibrate lidar` writes it",
+    setting="own_parts",
+    against="odometry",
+    test="mapping/odometry/test_own.py",
+)
+
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 ROLLS_ON = Monitor(
     "rolls on",

@@ -7,7 +7,7 @@ a per-point time (`time` or `t` relative, `timestamp` absolute) are taken where 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -112,23 +112,13 @@ def decode_cloud(data: bytes) -> RawCloud:
 
 
 @njit(cache=True)
-def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body, out):  # type: ignore[no-untyped-def]
-    """Copy the points that are finite, within range, off the body and of a time, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
-    reach = 0.0  # beyond this distance from the LiDAR nothing can be on the body
-    for k in range(3):
-        reach += max(abs(body[k] - translation[k]), abs(body[k + 3] - translation[k])) ** 2
+def _pack(x, y, z, intensity, ring, time, near, far, out):  # type: ignore[no-untyped-def]
+    """Copy the points that are finite, within range and of a time, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
     n = 0
     for i in range(x.size):
         squared = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
         if not (near * near <= squared <= far * far and time[i] >= 0.0):  # NaN compares false
             continue
-        if squared < reach:
-            inside = True
-            for k in range(3):
-                v = rotation[k, 0] * x[i] + rotation[k, 1] * y[i] + rotation[k, 2] * z[i] + translation[k]
-                inside = inside and body[k] < v < body[k + 3]
-            if inside:
-                continue
         p = out[n]
         p.x = np.rint(x[i] / POINT_QUANTUM) * POINT_QUANTUM
         p.y = np.rint(y[i] / POINT_QUANTUM) * POINT_QUANTUM
@@ -139,22 +129,16 @@ def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body
     return n
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mount:
-    """Where the LiDAR sits and what of its returns to keep."""
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What of a LiDAR's returns to keep, by their distance [m]. Those from the robot itself the odometry takes out (`mapping.odometry.own`)."""
 
-    rotation: Array
-    """(3, 3) base_link <- lidar."""
-    translation: Array
-    """(3,) LiDAR in base_link [m]."""
     min_range: float = 0.2
     max_range: float = 30.0
-    body: Array = field(default_factory=lambda: np.array([-0.45, -0.25, -0.45, 0.45, 0.25, 0.08]))
-    """(6,) x, y, z min and max of the robot in base_link [m]."""
 
 
 def sweep(
-    cloud: RawCloud, mount: Mount, unit: float | None = None
+    cloud: RawCloud, limits: Limits, unit: float | None = None
 ) -> tuple[int, NDArray[np.void], float | None]:
     """Start of the sweep [ns, LiDAR clock], its valid returns as `POINT_DTYPE` in the LiDAR frame, and the unit of its times.
 
@@ -166,7 +150,7 @@ def sweep(
     x, y, z = (_column(raw[axis], np.float32) for axis in "xyz")
     with np.errstate(over="ignore", invalid="ignore"):
         square = x * x + y * y + z * z
-        hit = (square >= mount.min_range**2) & (square < np.inf)
+        hit = (square >= limits.min_range**2) & (square < np.inf)
     start, time, unit = _times(cloud, hit, unit)
     ring = next((name for name in ("ring", "line") if name in names), None)
     bright = next((name for name in ("intensity", "reflectivity") if name in names), None)
@@ -178,11 +162,8 @@ def sweep(
         _column(raw[bright], np.float32) if bright is not None else np.zeros(n, np.float32),
         _column(raw[ring], np.uint16) if ring is not None else np.zeros(n, np.uint16),
         time,
-        mount.rotation,
-        mount.translation,
-        mount.min_range,
-        mount.max_range,
-        mount.body,
+        limits.min_range,
+        limits.max_range,
         out,
     )
     return start, out[:kept], unit

@@ -12,7 +12,7 @@ from hal.safety.monitors import CLOCK_STEP, SWEEP_LATE
 from hal.types import NS, POINT_DTYPE, LidarScan, MountedLidar
 from hal.unitree.api import WireError
 from hal.unitree.clock import RemoteClock
-from hal.unitree.cloud import Mount, RawCloud, decode_cloud, sweep
+from hal.unitree.cloud import Limits, RawCloud, decode_cloud, sweep
 from hal.unitree.link import CUSTOM, Link
 from hal.unitree.livox import decode_livox
 
@@ -41,7 +41,10 @@ class LidarInput:
             self.inputs[topic + CUSTOM] = decode_livox
         self.clock = RemoteClock()
         """The LiDAR's own clock; its IMU has the same."""
-        self.mount = Mount(rotation_rpy(*mounted.mount.rpy), np.array(mounted.mount.translation))
+        self.mount = mounted.mount
+        self.rotation = rotation_rpy(*mounted.mount.rpy)
+        """(3, 3) base_link <- its frame."""
+        self._limits = Limits()
         self.heard_at: int | None = None
         """When the last cloud with points came [ns, host clock]."""
         self.empty = 0
@@ -65,12 +68,12 @@ class LidarInput:
 
     def warm_up(self) -> None:
         """Compile the cloud kernel before the first sweep has to wait for it."""
-        sweep(RawCloud(0, "", np.zeros(1, POINT_DTYPE)), self.mount)
+        sweep(RawCloud(0, "", np.zeros(1, POINT_DTYPE)), self._limits)
 
     def take(self, topic: str, data: bytes, now: int) -> list[LidarScan]:
         """The scan in a message of one of `inputs`, received by `now` [ns]; none without points. Raises WireError."""
         try:
-            start, points, self._unit = sweep(self.inputs[topic](data), self.mount, self._unit)
+            start, points, self._unit = sweep(self.inputs[topic](data), self._limits, self._unit)
         except WireError as error:
             self._unread = str(error)
             raise

@@ -232,7 +232,7 @@ class Telemetry:
         if not self._l1.clock.hear(raw.stamp, now, "imu"):
             return []
         self._l1_stamp = raw.stamp
-        rotation = self._l1.mount.rotation
+        rotation = self._l1.rotation
         gyro, accel = rotation @ (raw.gyro - raw.gyro[2] * self._leak), rotation @ raw.accel
         if self._refuse("l1", self._checks["l1"].impossible(gyro, accel), now):
             return []

@@ -23,7 +23,7 @@ class ElevationConfig(BaseModel):
     )
     body_box: tuple[float, float, float, float, float, float] = Field(
         default=(-0.45, 0.45, -0.30, 0.30, -0.50, 0.25),
-        description="x0 x1 y0 y1 z0 z1 of the robot itself, base_link [m]",
+        description="x0 x1 y0 y1 z0 z1 around the robot, base_link [m]: what is so near a LiDAR sees too steeply to map; its own parts are `own_parts`",
     )
     # --- noise of the pose
     attitude_sigma: float = Field(default=0.0035, gt=0.0, description="roll/pitch noise of the pose [rad]")

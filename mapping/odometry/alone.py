@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from mapping.odometry.health import Health
 from mapping.odometry.inbox import Inbox
 from mapping.odometry.inertial import InertialFilter
 from mapping.odometry.intake import Sweep, TopicClock, clean_scan
+from mapping.odometry.own import OwnFilter, OwnPart
 from mapping.odometry.registration.engines import MAP_VOXEL, quality
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
@@ -45,8 +46,11 @@ class LidarAlone:
 
     words = "LiDAR alone: no IMU"
 
-    def __init__(self, params: OdometryConfig, mounts: Mapping[LidarName, Extrinsics]) -> None:
-        """`mounts`: each LiDAR in base_link; only the main one is registered."""
+    def __init__(
+        self, params: OdometryConfig, mounts: Mapping[LidarName, Extrinsics], own: Sequence[OwnPart] = ()
+    ) -> None:
+        """`mounts`: each LiDAR in base_link; only the main one is registered. `own`: parts of the robot beside its body."""
+        self._own = OwnFilter(own, mounts)
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
 
@@ -80,7 +84,7 @@ class LidarAlone:
         if admitted != "drop":
             p = self._params
             sweep = clean_scan(scan, p.min_range, ALONE_RANGE, p.max_points, self.counters)
-            self._sweeps.extend([sweep] if sweep is not None else [])
+            self._sweeps.extend([self._own.take_out(sweep, self.counters)] if sweep is not None else [])
 
     def resume(self, _pose: Array, _cloud: NDArray[np.float32]) -> None:
         """A log is not resumed: its first scan is the start."""
@@ -142,12 +146,16 @@ class WheelsAlone:
 
     words = "wheels and IMU alone: no LiDAR, the place drifts"
 
-    def __init__(self, params: OdometryConfig, mounts: Mapping[LidarName, Extrinsics]) -> None:
-        """`mounts`: not used; what every odometry is given."""
+    def __init__(
+        self, params: OdometryConfig, mounts: Mapping[LidarName, Extrinsics], own: Sequence[OwnPart] = ()
+    ) -> None:
+        """`mounts`, `own`: what every odometry is given; no sweep is looked at."""
         self._params = params.model_copy(update={"use_joints": True})
         self.counters: Counter[str] = Counter()
         self.calibration = Calibration(mounts, params.max_time_offset)
-        self._inbox = Inbox(self._params, self.counters, self._follow_clock, dict.fromkeys(mounts, 0))
+        self._inbox = Inbox(
+            self._params, self.counters, self._follow_clock, dict.fromkeys(mounts, 0), OwnFilter(own, mounts)
+        )
         self._filter = InertialFilter(params.inertial)
         self._noise = np.array(params.inertial.wheel_noise)
         self._lever = np.array(params.inertial.imu_position)

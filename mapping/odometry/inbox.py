@@ -17,6 +17,7 @@ from hal.plausible import ImuCheck, impossible_joints
 from hal.safety.monitors import IMU_REPEATS, JOINTS_REPEAT, LIDAR_REPEATS, STAMP_AHEAD, SWEEP_CLOCK
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, SweepClock, TopicClock, clean_scan
+from mapping.odometry.own import OwnFilter
 from mapping.odometry.repeats import Repeats
 from mapping.odometry.types import OdometryConfig
 
@@ -42,8 +43,10 @@ class Inbox:
         counters: Counter[str],
         on_jump: Callable[[int], None],
         shift: Mapping[LidarName, int],
+        own: OwnFilter,
     ) -> None:
-        """`shift`: of every LiDAR, what is added to its stamps [ns]; may change."""
+        """`shift`: of every LiDAR, what is added to its stamps [ns]; may change. `own`: takes the robot itself out of sweeps."""
+        self._own = own
         self.imu = SampleBuffer(6, 20_000)
         """Rows gyro [rad/s], specific force [m/s^2]."""
         self.joints = SampleBuffer(48, 4_000)
@@ -151,6 +154,7 @@ class Inbox:
             self._note(int(scan.stamp))
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
+            sweep = self._own.take_out(sweep, self._counters)
             if dead:
                 sweep = replace(sweep, problem=self.streams[scan.name].words)
             self._sweeps[scan.name].append(sweep)

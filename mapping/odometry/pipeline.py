@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -38,6 +38,7 @@ from mapping.odometry.inbox import Inbox
 from mapping.odometry.inertial import InertialFilter
 from mapping.odometry.inertial_kernels import SILENCE
 from mapping.odometry.intake import Sweep
+from mapping.odometry.own import OwnFilter, OwnPart, OwnParts
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Match, make_engine
 from mapping.odometry.registration.observability import UNKNOWN
@@ -67,8 +68,12 @@ class LidarInertialOdometry:
         self,
         params: OdometryConfig = OdometryConfig(),
         mounts: Mapping[LidarName, Extrinsics] = MappingProxyType({"main": XT16_MOUNT}),
+        own: Sequence[OwnPart] = (),
     ) -> None:
-        """`mounts`: each LiDAR in base_link."""
+        """`mounts`: each LiDAR in base_link; `own`: parts of the robot beside its body."""
+        self._own = OwnFilter(own, mounts)
+        self.parts = OwnParts()
+        """What moves with the robot and is none of `own`."""
         self.params = params
         self.counters: Counter[str] = Counter()
         self.initialised = False
@@ -80,7 +85,7 @@ class LidarInertialOdometry:
         self._deskewer = Deskewer(mounts, self._lever)
         self.calibration = Calibration(mounts, params.max_time_offset)
         self._wheel_noise = np.array(params.inertial.wheel_noise)
-        self._inbox = Inbox(params, self.counters, self._follow_clock, self.calibration.shift)
+        self._inbox = Inbox(params, self.counters, self._follow_clock, self.calibration.shift, self._own)
         self._imu, self._joints = self._inbox.imu, self._inbox.joints
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
         self._startup = Startup()
@@ -171,7 +176,8 @@ class LidarInertialOdometry:
             for name in self.calibration.shift
             if name != sweep.name and streams[name].words
         ]
-        others = self._deskewer.beside(self._inbox.beside(sweep), stamps, track)
+        along = self._inbox.beside(sweep)
+        others = self._deskewer.beside(along, stamps, track)
         if sweep.problem or self._untrue:
             return self._dead_reckoned(sweep.problem)
         if sweep.untimed:
@@ -225,6 +231,8 @@ class LidarInertialOdometry:
             self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
         self._notes.clear()
         self._rejoin()
+        if verdict.insert and self.parts.due(self._filter.pose()):
+            self._look_for_parts(sweep, cloud, along, others)
         # nothing is mapped from a pose that is not sure
         clouds = {sweep.name: cloud, **others} if verdict.insert else {}
         return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
@@ -262,6 +270,24 @@ class LidarInertialOdometry:
         self.calibration.clouds({"main": cloud, **others}, self._engine, pose, state.linear, rate, contacts)
         if max(np.linalg.norm(rate), np.linalg.norm(state.angular)) > TURNING:
             self._notes += filter(None, [self.calibration.clock_fault()])
+
+    def _look_for_parts(
+        self, sweep: Sweep, cloud: NDArray[np.float32], along: Sequence[Sweep], others: Mapping[LidarName, NDArray[np.float32]]
+    ) -> None:  # fmt: skip
+        """Sweeps as measured beside their clouds, which are at the end of the main one."""
+        seen = [(sweep.name, [sweep], cloud)]
+        seen += [(name, [s for s in along if s.name == name], moved) for name, moved in others.items()]
+        self.parts.look(
+            [
+                (
+                    np.concatenate([self._own.in_base(name, s.xyz) for s in sweeps]),
+                    moved,
+                    self._own.place(name),
+                )
+                for name, sweeps, moved in seen
+            ],
+            self._filter.pose(),
+        )
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
@@ -398,7 +424,7 @@ class LidarInertialOdometry:
             clouds=clouds,
             place_sigma=math.sqrt(self._place_variance()),
             lidars=self.calibration.fits(),
-            fault=self.calibration.fault(),
+            fault="; ".join(filter(None, (self.calibration.fault(), self.parts.words))),
         )
 
     def _place_variance(self) -> float:
@@ -421,6 +447,7 @@ class LidarInertialOdometry:
 
     def warm_up(self) -> None:
         """Compile every kernel."""
+        self.parts.warm_up()
         rehearse(LidarInertialOdometry(self.params.model_copy(update={"use_joints": True})))
 
 

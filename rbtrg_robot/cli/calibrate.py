@@ -81,7 +81,7 @@ def calibrate_lidar(
     sets: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="One value of it.")] = None,
     robot: Robot = ROBOT,
 ) -> None:
-    """Print mounts and time offsets of the LiDARs. With their certainty, for the configuration.
+    """Print mounts and time offsets of the LiDARs. With their certainty, and parts of the robot that they see, for the configuration.
 
     Let the robot stand for a second on level ground with walls in sight, then turn and drive it. Moves nothing without --drive.
     """
@@ -100,8 +100,8 @@ def calibrate_lidar(
         stack = load(config, sets or (), base=base)
         samples = _watch(robot, seconds, drive)
     say("comparing what gyro, wheels and LiDARs saw", error=True)
-    found = calibrate(samples, stack.mounted_lidars(), stack.odometry)
-    say_text(as_yaml(found, [lidar.time_offset for lidar in stack.lidars]))
+    found, parts = calibrate(samples, stack.mounted_lidars(), stack.odometry, stack.own_parts)
+    say_text(as_yaml(found, [lidar.time_offset for lidar in stack.lidars], parts))
 
 
 def _running(robot: str) -> bytes:

@@ -13,6 +13,7 @@ import numpy as np
 from hal.errors import OperatorError
 from hal.rotation import rotation, rotation_rpy, rpy_of, turn
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan, MountedLidar
+from mapping.odometry.own import OwnPart
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import OdometryConfig
 from rbtrg_robot import topics as t
@@ -74,13 +75,17 @@ def samples_of(log: Path) -> Iterator[Sample]:
 
 
 def calibrate(
-    samples: Sequence[Sample], lidars: Sequence[MountedLidar], params: OdometryConfig
-) -> list[Found]:
-    """Mounts and clocks of `lidars` from the samples of a motion. Raises CalibrationError where they say too little."""
+    samples: Sequence[Sample],
+    lidars: Sequence[MountedLidar],
+    params: OdometryConfig,
+    own: Sequence[OwnPart] = (),
+) -> tuple[list[Found], tuple[OwnPart, ...]]:
+    """Mounts and clocks of `lidars` from the samples of a motion; parts of the robot, those of `own` that are known and those that were seen in it.
+    Raises CalibrationError where they say too little."""
     mounted = {lidar.name: lidar for lidar in lidars}
     late: dict[LidarName, float] = dict.fromkeys(mounted, 0.0)
     for _ in range(PASSES):
-        odometry = LidarInertialOdometry(params, {name: lidar.mount for name, lidar in mounted.items()})
+        odometry = LidarInertialOdometry(params, {name: lidar.mount for name, lidar in mounted.items()}, own)
         scans = 0
         for sample in samples:
             if isinstance(sample, ImuSample):
@@ -99,10 +104,11 @@ def calibrate(
         for name, fit in fits.items():
             late[name] += clocks[name].offset
             mounted[name] = replace(mounted[name], mount=corrected(mounted[name].mount, fit.turn, fit.place))
-    return [
+    found = [
         Found(mounted[n], late[n], clocks[n].offset_sigma, fit.turn_sigma, fit.place_sigma)
         for n, fit in fits.items()
     ]
+    return found, (*own, *odometry.parts.found)
 
 
 def corrected(mount: Extrinsics, turned: Array, place: Array) -> Extrinsics:
@@ -113,8 +119,8 @@ def corrected(mount: Extrinsics, turned: Array, place: Array) -> Extrinsics:
     return Extrinsics((x, y, z), rpy_of(rotation(q) @ rotation_rpy(*mount.rpy)))
 
 
-def as_yaml(found: Sequence[Found], configured: Sequence[float] = ()) -> str:
-    """For `--config`; the comments tell one standard deviation. `configured`: the time_offset [s] that each LiDAR has already."""
+def as_yaml(found: Sequence[Found], configured: Sequence[float] = (), parts: Sequence[OwnPart] = ()) -> str:
+    """For `--config`; the comments tell one standard deviation. `configured`: the time_offset [s] that each LiDAR has already; `parts` of the robot."""
     lines = ["lidars:"]
     before = configured or [0.0] * len(found)
     for f, old in zip(found, before, strict=True):
@@ -130,4 +136,5 @@ def as_yaml(found: Sequence[Found], configured: Sequence[float] = ()) -> str:
             f"    mount: {{translation: [{place}], rpy: [{rpy}]}}",
             f"    time_offset: {old + f.offset:.4f}  # 1 sigma: {1e3 * f.offset_sigma:.1f} ms",
         ]
+    lines += ["own_parts:  # what moves with the robot", *(f"  - {part}" for part in parts)] if parts else []
     return "\n".join(lines)

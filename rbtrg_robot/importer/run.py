@@ -15,7 +15,7 @@ from hal.lidar.config import LidarConfig
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import GRAVITY, NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from hal.unitree.api import WireError
-from hal.unitree.cloud import Mount, sweep
+from hal.unitree.cloud import Limits, sweep
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
@@ -210,12 +210,7 @@ class Converter:
     def __init__(self, found: Found) -> None:
         self._found = found
         self._roles = {p.source.topic: name for name, p in found.roles.items() if name != "tf"}
-        self._mount = {
-            name: Mount(
-                rotation_rpy(*m.rpy), np.array(m.translation), max_range=FARTHEST_POINT, body=np.zeros(6)
-            )
-            for name, m in found.mounts.items()
-        }
+        self._limits = Limits(max_range=FARTHEST_POINT)
         self._turn: Array = rotation_rpy(*found.mounts.get("imu", Extrinsics((0.0, 0.0, 0.0))).rpy)
         self._units: dict[str, float | None] = dict.fromkeys(LIDARS)
         """Of each LiDAR's times [s], once a sweep has told it."""
@@ -247,7 +242,7 @@ class Converter:
         for name in LIDARS:
             if role == name:
                 cloud = read_cloud(source, data)
-                start, points, self._units[name] = sweep(cloud, self._mount[name], self._units[name])
+                start, points, self._units[name] = sweep(cloud, self._limits, self._units[name])
                 return (
                     (t.SWEEPS[name], scan_msg(LidarScan(start + shift, points, name)))
                     if len(points)

@@ -245,7 +245,7 @@ class Events:
             text = f"odometry lost: {health.reason}" if lost else "odometry knows the place again"
             self.happened("odometry", text, ERROR if lost else INFO)
         if (health.calibration or t.ODOM_HEALTH in self._said) and self._new(
-            t.ODOM_HEALTH, health.calibration or "clocks and mounts are well again"
+            t.ODOM_HEALTH, health.calibration or "clocks, mounts and parts are well again"
         ):
             text = self._said[t.ODOM_HEALTH]
             self.happened("odometry", f"odometry: {text}", WARNING if health.calibration else INFO)

@@ -272,7 +272,7 @@ def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     lidars = config.mounted_lidars()
     kind = ALONE.get(config.odometry.without, LidarInertialOdometry)
-    odometry = kind(config.odometry, {lidar.name: lidar.mount for lidar in lidars})
+    odometry = kind(config.odometry, {lidar.name: lidar.mount for lidar in lidars}, config.own_parts)
     camera = config.camera.mounted()
     return OdometryStage(
         odometry, lidars, config.imu_mount(), config.start_pose(), () if camera is None else (camera,)

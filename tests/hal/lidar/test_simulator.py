@@ -155,6 +155,19 @@ def test_no_return_from_the_body_and_the_xt16_sees_the_floor_from_1_7_m() -> Non
     assert (floor[:, 0] > 0).sum() > 1.1 * (floor[:, 0] < 0).sum()
 
 
+def test_a_part_of_the_robot_is_seen_in_its_place_however_the_robot_drives() -> None:
+    spec = LIDARS["xt16"].decimated(4)
+    part = OrientedBox((-0.3, 0.4, 0.1), (0.06, 0.06, 0.3))
+    seen = []
+    for speed in (0.0, 1.0):
+        simulator = LidarSimulator(spec, spec.mount, arena(), seed=3, noise=False, parts=[part])
+        base = in_base(sweep(simulator, speed=speed)[1], spec.mount)
+        seen.append(base[np.linalg.norm(base, axis=1) < 1.0])
+    assert len(seen[0]) > 10
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert (np.abs(seen[0] - part.centre) < np.array(part.size) / 2 + 0.005).all()
+
+
 def test_a_moving_box_appears_and_goes() -> None:
     spec = LIDARS["xt16"].decimated(4)
     simulator = LidarSimulator(spec, spec.mount, arena(), seed=3, noise=False)

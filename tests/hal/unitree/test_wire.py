@@ -11,8 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal import go2w
-from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM
 from hal.unitree import api, cloud, layout
 
@@ -214,7 +212,7 @@ LIVOX_DTYPE = np.dtype(
         ("tag", "u1"), ("line", "u1"), ("timestamp", "<f8"),
     ]
 )  # fmt: skip
-OPEN = cloud.Mount(np.eye(3), np.zeros(3), body=np.zeros(6))
+OPEN = cloud.Limits()
 
 
 def _filled(dtype: np.dtype, n: int = 500) -> np.ndarray:
@@ -344,27 +342,11 @@ def test_a_doubled_field_name_is_an_error_not_a_crash():
         cloud.decode_cloud(data.replace(b"\x02\0\0\0y\0", b"\x02\0\0\0x\0"))
 
 
-def test_invalid_far_and_body_returns_are_dropped():
-    points = np.zeros(6, POINT_DTYPE)
-    xyz = [(2, 0, 0), (math.nan, 0, 0), (0, 0, 0.05), (40, 0, 0), (0.2, 0.1, 0.0), (0, 0, -0.5)]
-    for point, (x, y, z) in zip(points, xyz, strict=True):
-        point["x"], point["y"], point["z"] = x, y, z
-    mount = cloud.Mount(np.eye(3), np.zeros(3), 0.1, 30.0, np.array([-0.4, -0.2, -0.3, 0.4, 0.2, 0.1]))
-    _, out, _ = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), mount)
-    assert [(p["x"], p["z"]) for p in out] == [(2.0, 0.0), (0.0, -0.5)]
-
-
-def test_body_box_turns_with_the_flipped_l1():
-    translation, rpy = go2w.L1_MOUNT.translation, go2w.L1_MOUNT.rpy
-    turn = rotation_rpy(*rpy)
-    mount = cloud.Mount(turn, np.array(translation))
-    base = np.array([[0.0, 0.1, -0.1], [1.5, 0.0, -0.4], [0.0, 0.0, 1.0]])
-    local = (base - translation) @ turn
-    points = np.zeros(3, POINT_DTYPE)
-    points["x"], points["y"], points["z"] = local.T
-    _, out, _ = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), mount)
-    back = np.stack([out["x"], out["y"], out["z"]], axis=1) @ turn.T + translation
-    np.testing.assert_allclose(back, base[1:], atol=POINT_QUANTUM)
+def test_invalid_near_and_far_returns_are_dropped():
+    points = np.zeros(4, POINT_DTYPE)
+    points["x"] = (2.0, math.nan, 0.05, 40.0)
+    _, out, _ = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), cloud.Limits(0.1, 30.0))
+    assert out["x"].tolist() == [2.0]
 
 
 def test_clouds_without_coordinates_or_of_another_byte_order_are_refused():

@@ -29,6 +29,8 @@ from tools.bench.perception.offset import two_lidars
 
 RIGHT: dict[LidarName, Extrinsics] = {"main": XT16_MOUNT, "head": L1_MOUNT}
 LATE = 0.015
+ANTENNA = (-0.3, 0.28, 0.0), (-0.25, 0.33, 0.2)
+"""Two corners [m], base_link."""
 SYSTEMATIC = 0.003
 """[s] Of the simulator's clock."""
 
@@ -55,6 +57,22 @@ def late(samples: Sequence[Sample]) -> list[Sample]:
     ]
 
 
+def with_antenna(samples: Sequence[Sample]) -> list[Sample]:
+    """The main LiDAR sees an antenna that nobody told of, 5 cm thick."""
+    rng = np.random.default_rng(2)
+    out: list[Sample] = []
+    for s in samples:
+        if isinstance(s, LidarScan) and s.name == "main":
+            s = replace(s, points=s.points.copy())
+            some = slice(None, None, len(s.points) // 60)
+            seen = rng.uniform(*ANTENNA, (len(s.points[some]), 3)) - RIGHT["main"].translation
+            local = seen @ rotation_rpy(*RIGHT["main"].rpy)
+            for axis, values in zip("xyz", local.T, strict=True):
+                s.points[axis][some] = values
+        out.append(s)
+    return out
+
+
 def within(found: Found, mount: Extrinsics, offset: float) -> None:
     """Within three of the standard deviations that are told, which are small enough to be of use."""
     got = found.lidar.mount
@@ -68,13 +86,13 @@ def within(found: Found, mount: Extrinsics, offset: float) -> None:
     assert found.offset_sigma < 0.002
 
 
-def test_a_log_of_a_motion_gives_mounts_and_clock(tmp_path: Path) -> None:
+def test_a_log_of_a_motion_gives_mounts_clock_and_parts(tmp_path: Path) -> None:
     _, samples = two_lidars(8.0, 3)
     path = tmp_path / "drive.mcap"
     lidars = [{"name": x.name, "model": x.model, "mount": x.mount} for x in WRONG]
     config = StackConfig.model_validate({"lidars": lidars})
     with LogWriter(path, {}, {CONFIG: config.to_yaml().encode()}) as log:
-        for s in late(samples):
+        for s in with_antenna(late(samples)):
             assert isinstance(s, ImuSample | JointSample | LidarScan)
             if isinstance(s, LidarScan):
                 log.write(t.SWEEPS[s.name], encode(scan_msg(s)), s.stamp, s.stamp)
@@ -85,6 +103,9 @@ def test_a_log_of_a_motion_gives_mounts_and_clock(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["calibrate", "lidar", "--log", str(path)])
     assert done.exit_code == 0, done.output
     (tmp_path / "lidars.yaml").write_text(done.stdout)
+    (part,) = load(tmp_path / "lidars.yaml").own_parts
+    assert (np.array(part.low) < ANTENNA[0]).all()
+    assert (np.array(part.high) > ANTENNA[1]).all()
     found = {lidar.name: lidar for lidar in load(tmp_path / "lidars.yaml").lidars}
     for name, right in RIGHT.items():
         mount = found[name].mount
@@ -124,5 +145,5 @@ def test_the_course_in_simulated_physics_gives_mounts_and_clock() -> None:
             for topic, message in orders(after, stack.now):
                 stack.host.inject(topic, message)
             stack.run(0.05)
-    for found in calibrate(late(samples), WRONG, OdometryConfig()):
+    for found in calibrate(late(samples), WRONG, OdometryConfig())[0]:
         within(found, RIGHT[found.lidar.name], LATE if found.lidar.name == "main" else 0.0)

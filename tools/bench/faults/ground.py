@@ -1,4 +1,5 @@
-"""Ground that is not what it seems: holes a little wider than the robot crosses, goals that cannot be reached."""
+"""Ground and body that are not what they seem: holes a little wider than the robot crosses, parts nobody told of, goals that
+cannot be reached."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hal.safety.monitors import GOAL_SPENT, HOLE_WIDTH
+from hal.safety.monitors import GOAL_SPENT, HOLE_WIDTH, OWN_PARTS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -78,6 +79,18 @@ def _to_hole(width: float, seed: int, *, hands: bool) -> Outcome:
         return replace(outcome, rest=0.0, fell=outcome.fell or lowest < level - DIPS)
 
 
+def _antenna(size: float, seed: int) -> Outcome:
+    """Drive with an antenna beside the body that nobody told of, `size` [m] thick."""
+    height, _, _ = walled()
+    part = {"centre": (-0.25, 0.27 + 0.5 * size, 0.05), "size": (size, size, 0.3)}
+    with stack_on(height, seed, sim={"lidar_step": 2, "parts": [part]}) as stack:
+        watch = Watch(stack)
+        turn = 1.0 if seed % 2 else -1.0
+        by_hand(stack, 0.4, 0.0, 7.0)
+        by_hand(stack, 0.0, turn, 2.0)
+        return watch.outcome()
+
+
 def _moat(width: float, seed: int) -> Outcome:
     """A goal on a plateau that a trench of `width` [m] surrounds: how long until it ends, as `rest`."""
     height, x, y = walled()
@@ -108,5 +121,6 @@ FAULTS = (
         "hole by hand", (HOLE_WIDTH,), (0.16, 0.2), partial(_to_hole, hands=True), says=(HOLE_WIDTH.words,)
     ),
     Fault("hole before a goal", (HOLE_WIDTH,), (0.16, 0.2), partial(_to_hole, hands=False)),
+    Fault("own antenna", (OWN_PARTS,), (0.03, 0.06), _antenna, says=("own_parts",)),
     Fault("goal behind a moat", (GOAL_SPENT,), (0.3, 0.5), _moat, rest=40.0, error=0.25),
 )

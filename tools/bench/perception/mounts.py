@@ -84,7 +84,7 @@ def rows(report: Report, seconds: float, seed: int) -> None:
         costs.append(cost(mounts))
         lidars = [MountedLidar(name, MOUNTS[name][0], mount) for name, mount in mounts.items()]
         late: dict[LidarName, float] = {"main": LATE, "head": 0.0}
-        for found in calibrate([delayed(s, late) for s in samples], lidars, OdometryConfig()):
+        for found in calibrate([delayed(s, late) for s in samples], lidars, OdometryConfig())[0]:
             got, wanted = found.lidar.mount, MOUNTS[found.lidar.name][1]
             turns.append(
                 rotation_vector(rotation_rpy(*got.rpy) @ rotation_rpy(*wanted.rpy).T) / found.turn_sigma

@@ -11,7 +11,6 @@ import timeit
 
 import numpy as np
 
-from hal.rotation import rotation_rpy
 from hal.types import NS
 from hal.unitree import api, cloud, layout
 from tools.bench.report import Report
@@ -83,7 +82,7 @@ def _messages(report: Report) -> None:
     report.add("unitree.low_state_decode", 1e6 * ours, "us", limit=5.0, baseline=1e6 * theirs)
 
     data = _cloud()
-    mount = cloud.Mount(rotation_rpy(0.0, 2.88, 0.0), np.array([0.28, 0.0, -0.03]))
+    mount = cloud.Limits()
     cloud.sweep(cloud.decode_cloud(data), mount)
     ours = _best(lambda: cloud.sweep(cloud.decode_cloud(data), mount), 20)
     theirs = _best(lambda: idl.PointCloud2.__idl__.deserialize(data), 2, 3)

@@ -21,7 +21,7 @@ from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, SimConfig
 from hal.safety.gate import GateConfig
-from hal.safety.geofence import Geofence, GeofenceError
+from hal.safety.geofence import Fence, Geofence, GeofenceError
 from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
@@ -56,6 +56,16 @@ GUARD = "guard"
 
 class ConfigError(OperatorError):
     """A configuration file or key is wrong; the message names it."""
+
+
+def _checked(area: list[tuple[float, float]]) -> None:
+    """Raises ValueError for what is no polygon in `map`."""
+    try:
+        Geofence.of(area)
+    except GeofenceError as error:
+        raise ValueError(str(error)) from error
+    if not max(abs(v) for corner in area for v in corner) < FARTHEST:
+        raise ValueError(f"`map` reaches {FARTHEST / 1000:.0f} km")
 
 
 class NetworkConfig(BaseModel):
@@ -129,6 +139,9 @@ class StackConfig(BaseModel):
     area: list[tuple[float, float]] | None = Field(
         None, description="polygon x, y [m] in `map`: goals outside are refused, the robot stops at its edge"
     )
+    keepout: dict[str, list[tuple[float, float]]] = Field(
+        {}, description="polygons by their names, as `area`: the robot keeps out of each"
+    )
     without: tuple[str, ...] = Field((), description="processes not to start")
     record: bool = Field(True, description="write the MCAP log of the run")
     log_dir: str = Field("logs", description="folder of this run's log and process output")
@@ -177,13 +190,17 @@ class StackConfig(BaseModel):
     @classmethod
     def _spans_an_area(cls, area: list[tuple[float, float]] | None) -> list[tuple[float, float]] | None:
         if area is not None:
-            try:
-                Geofence.of(area)
-            except GeofenceError as error:
-                raise ValueError(str(error)) from error
-            if not max(abs(v) for corner in area for v in corner) < FARTHEST:
-                raise ValueError(f"`map` reaches {FARTHEST / 1000:.0f} km")
+            _checked(area)
         return area
+
+    @field_validator("keepout")
+    @classmethod
+    def _span_areas(
+        cls, keepout: dict[str, list[tuple[float, float]]]
+    ) -> dict[str, list[tuple[float, float]]]:
+        for area in keepout.values():
+            _checked(area)
+        return keepout
 
     @field_validator("body")
     @classmethod
@@ -246,6 +263,10 @@ class StackConfig(BaseModel):
         if self.area is not None:
             return tuple(self.area)
         return self.load_scene().allowed_area if self.simulated else None
+
+    def fence(self) -> Fence:
+        """What goals and robot must stay in, and keep out of. Raises SceneError."""
+        return Fence.of(self.allowed_area(), self.keepout)
 
     def mounted_lidars(self) -> tuple[MountedLidar, ...]:
         """The LiDARs in base_link."""

@@ -283,6 +283,27 @@ class CompressedPointCloud2(Message):
 
 
 @dataclass(slots=True, eq=False)
+class GroundArea(Message):
+    """rbtrg_msgs/msg/GroundArea."""
+
+    __msgtype__ = "rbtrg_msgs/msg/GroundArea"
+    name: str = ""
+    keep_out: bool = False
+    corners: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+
+
+@dataclass(slots=True, eq=False)
+class Areas(Message):
+    """rbtrg_msgs/msg/Areas."""
+
+    __msgtype__ = "rbtrg_msgs/msg/Areas"
+    header: Header = field(default_factory=Header)
+    id: str = ""
+    refused: str = ""
+    areas: list[GroundArea] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
 class Event(Message):
     """rbtrg_msgs/msg/Event."""
 
@@ -435,6 +456,7 @@ class MapPrior(Message):
     id: str = ""
     map: list[GridMap] = field(default_factory=list)
     cloud: PointCloud2 = field(default_factory=PointCloud2)
+    areas: list[GroundArea] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)

@@ -38,9 +38,9 @@ class Process:
 # fmt: off
 PROCESSES: tuple[Process, ...] = (
     #       name         entry                                            period  hang  farewell  stops_motion  what its loss means for motion                                                  restores
-    Process("robot",     "rbtrg_robot.hosts.robot:main",                  0.005,   3.0,      3.5, False,        "no robot: nothing moves; hardware stops by its own watchdog",                  (t.ROBOT_STATE, t.TRUTH)),
+    Process("robot",     "rbtrg_robot.hosts.robot:main",                  0.005,   3.0,      3.5, False,        "no robot: nothing moves; hardware stops by its own watchdog",                  (t.ROBOT_STATE, t.TRUTH, t.AREAS)),
     Process("odometry",  "rbtrg_robot.stages.odometry:build",             0.1,     3.0,      1.6, True,         "no pose: robot stops at once",                                                 (t.ODOM, t.CLOUD, t.TF_STATIC)),
-    Process("elevation", "rbtrg_robot.stages.elevation:build",            0.1,    15.0,      1.6, True,         "blind: robot stops at once",                                                   (t.MAP_STATUS,)),
+    Process("elevation", "rbtrg_robot.stages.elevation:build",            0.1,    15.0,      1.6, True,         "blind: robot stops at once",                                                   (t.MAP_STATUS, t.AREAS)),
     Process("planner",   "rbtrg_robot.stages.planner:build",              0.1,    30.0,      1.6, False,        "no new routes, the present one is not watched: the navigator halts after 2 s", ()),
     Process("navigator", "rbtrg_robot.stages.navigation.navigator:build", 0.1,     3.0,      1.6, True,         "nobody owns the goal: robot stops at once",                                    (t.GOAL_STATUS,)),
     Process("mission",   "rbtrg_robot.stages.mission.executor:build",      0.1,     3.0,      1.6, False,        "the robot ends the present goal and stands",                                   (t.MAP_STATUS, t.MISSION_ORDER, t.MISSION_STATE)),

@@ -127,6 +127,8 @@ MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.MapPart,          0, Qos.ST
 MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full, parts: send the whole map and its cloud; clear: forget what the robot touched", publish_by=Role.OPERATOR)
 MAP_PRIOR      = Topic("/elevation_map/prior",   msg.MapPrior,         0, Qos.STATE,     1, "",          "a prior map to begin anew with, while the robot stands", recorded="full standard", safe_to_replay=False, publish_by=Role.OPERATOR)
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,    64, "elevation", "size and age of the map; a new epoch, before its blocks")
+AREAS          = Topic("/areas",                 msg.Areas,            0, Qos.LATCHED,   1, "elevation", "areas that were drawn: where the robot stays inside, and what it keeps out of", safe_to_replay=False)
+AREAS_REQUEST  = Topic("/areas/request",         msg.Areas,            0, Qos.STATE,     2, "",          "all areas that are to count from now on, beside those of the configuration", safe_to_replay=False, publish_by=Role.OPERATOR)
 GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False, publish_by=Role.OPERATOR)
 GOAL_POSE      = Topic("/goal_pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False, publish_by=Role.OPERATOR)
 INITIAL_POSE   = Topic("/initialpose",           msg.PoseWithCovarianceStamped, 0, Qos.STATE, 1, "",      "where the robot stands in `map`, from RViz, Foxglove or the console; taken while it stands", safe_to_replay=False, publish_by=Role.OPERATOR)

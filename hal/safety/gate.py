@@ -25,7 +25,7 @@ from hal.safety.gate_types import (
     RefusalReason,
     StopCause,
 )
-from hal.safety.geofence import Geofence
+from hal.safety.geofence import NO_FENCE, Fence
 from hal.safety.trunk import TrunkTilt
 from hal.safety.untold import Untold
 from hal.types import FELT_EDGE, NS, Capabilities, Phase, PostureCommand, VelocityCommand
@@ -48,7 +48,7 @@ class SafetyGate:
         self,
         capabilities: Capabilities,
         params: GateConfig | None = None,
-        geofence: Geofence | None = None,
+        geofence: Fence = NO_FENCE,
         *,
         guarded: bool = True,
     ) -> None:
@@ -169,8 +169,8 @@ class SafetyGate:
             self._output = self._slewed(now, elapsed)
             if self._guarded and inputs.limits is not None:
                 self._keep_clear(inputs.limits)
-            if self.geofence is not None and inputs.pose is not None:
-                self._keep_inside(self.geofence, inputs.pose)
+            if self.geofence and inputs.pose is not None:
+                self._keep_inside(inputs.pose)
         self._watch_motion(now, inputs)
         self._watch_rest(now, inputs)
         if self._cause is not None:
@@ -251,7 +251,7 @@ class SafetyGate:
             return f"robot is {inputs.state.phase.value}: {inputs.state.cause}".removesuffix(": ")
         if inputs.tilt is None:
             return "no attitude yet"
-        if self.geofence is not None and inputs.pose is None:
+        if self.geofence and inputs.pose is None:
             return "no pose for the geofence"
         if self._guarded:
             if inputs.limits is None:
@@ -306,21 +306,23 @@ class SafetyGate:
                 f"guard: {limits.reason or 'nothing is known to be in the way, and nothing is allowed'}"
             )
 
-    def _keep_inside(self, fence: Geofence, pose: tuple[float, float, float]) -> None:
-        """Slow down before the fence and stop at it. A robot outside may drive inwards, and turn.
+    def _keep_inside(self, pose: tuple[float, float, float]) -> None:
+        """Slow down before the fence and stop at it. A robot behind it may come back, and turn.
 
         The command decides, not the slewed output: a velocity that starts from zero would creep out in spurts.
         """
-        target, out = self._accepted, self._output
+        target, out, p = self._accepted, self._output, self.params
         assert target is not None
         wanted, speed = math.hypot(target.vx, target.vy), math.hypot(out.vx, out.vy)
-        course, p = math.atan2(target.vy, target.vx), self.params
-        most = fence.speed(pose, wanted, course, p.fence_margin, p.fence_horizon)
-        if speed > most:
-            share = most / speed
-            self._output = VelocityCommand(out.stamp, share * out.vx, share * out.vy, out.wz)
-        if wanted > 0.0 and most == 0.0:
-            self._hold = "geofence"
+        course = math.atan2(target.vy, target.vx)
+        most, ahead = self.geofence.speed(pose, wanted, course, p.fence_margin, p.fence_horizon)
+        turn, beside = self.geofence.turn(pose, target.wz, p.fence_horizon)
+        share = most / speed if speed > most else 1.0
+        wz = math.copysign(min(abs(out.wz), abs(turn)), out.wz)
+        self._output = VelocityCommand(out.stamp, share * out.vx, share * out.vy, wz)
+        held = ahead if wanted > 0.0 and most == 0.0 else beside if wanted == 0.0 and turn == 0.0 else None
+        if held is not None:
+            self._hold = f"geofence: {held.words}"
 
     def _watch_motion(self, now: int, inputs: GateInputs) -> None:
         """Whether the robot does what is commanded."""

@@ -1,13 +1,13 @@
-"""A polygon the robot must stay in."""
+"""Polygons that the robot must stay in, and such that it must keep out of; its whole body counts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from hal.errors import OperatorError
-from hal.go2w import BODY_WIDTH
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
 
 
 class GeofenceError(OperatorError):
@@ -16,6 +16,17 @@ class GeofenceError(OperatorError):
 
 Corner = tuple[float, float]
 Side = tuple[Corner, Corner]
+Pose = tuple[float, float, float]
+"""x, y [m], yaw [rad] in `map`."""
+BESIDE = 0.05
+"""[m] that a driven body keeps on each side: a robot along a side can still turn off it, with its tail that swings out.
+"""
+SAME = 1e-3
+"""[m] A robot over a side may move where it comes no deeper than so much."""
+LEAST = 0.02
+"""[m/s] Nearer to a side a robot that would be slower stands."""
+STEPS = 4
+"""Of a turn, or of the way out, that are looked at."""
 
 
 def _turn(a: Corner, b: Corner, c: Corner) -> float:
@@ -51,9 +62,12 @@ class Geofence:
     """A simple polygon in the `map` frame; corners x, y [m] in order, closed by itself."""
 
     corners: tuple[tuple[float, float], ...]
+    keep_out: bool = False
+    """The robot stays out of it; else inside."""
+    name: str = ""
 
     @staticmethod
-    def of(points: Sequence[Sequence[float]]) -> Geofence:
+    def of(points: Sequence[Sequence[float]], *, keep_out: bool = False, name: str = "") -> Geofence:
         """Check and build. Raises GeofenceError unless finite corners span an area with sides that do not meet.
 
         Corners that repeat the one before, and a last one that repeats the first, are left out.
@@ -77,7 +91,19 @@ class Geofence:
                         f"sides of the geofence cross: {one[0]} - {one[1]} and {sides[j][0]} - {sides[j][1]}; "
                         "give its corners in order around it"
                     )
-        return Geofence(corners)
+        return Geofence(corners, keep_out, name)
+
+    @property
+    def words(self) -> str:
+        """What lies behind its sides."""
+        if self.keep_out:
+            return f"the keep-out area {self.name}".rstrip()
+        return "the edge of the allowed area" + (f" {self.name}" if self.name else "")
+
+    def breach(self, x: float, y: float) -> float:
+        """How far a place is on the wrong side [m]; negative on the right one (distance to the nearest side)."""
+        outside = self.outside(x, y)
+        return -outside if self.keep_out else outside
 
     def outside(self, x: float, y: float) -> float:
         """Distance out of the polygon [m]; negative inside (distance to the nearest edge)."""
@@ -96,25 +122,135 @@ class Geofence:
             previous_x, previous_y = corner_x, corner_y
         return -nearest if inside else nearest
 
-    def speed(
-        self, pose: tuple[float, float, float], speed: float, course: float, margin: float, horizon: float
-    ) -> float:
-        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the front of the body inside.
-
-        `pose`: x, y [m], yaw [rad]; what lies up to `margin` [m] ahead must stay inside for `horizon` [s].
-        """
+    def free(self, pose: Pose, course: float, margin: float, most: float) -> float:
+        """How far [m], up to `most`, the body may move in direction `course` [rad, base_link] with what lies `margin`
+        [m] ahead of base_link. One that is over a side already may move where it comes no deeper."""
         x, y, yaw = pose
-        if not all(map(math.isfinite, pose)):
-            return 0.0
-        c, s = math.cos(yaw + course), math.sin(yaw + course)
-        most, soon = speed, margin + speed * horizon
-        if self.outside(x, y) < -(soon + BODY_WIDTH):  # no side is near
+        here = self.breach(x, y)
+        if here < -(margin + most + BODY_WIDTH):  # no side is near
             return most
-        for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
-            ahead = self.outside(x + soon * c - side * s, y + soon * s + side * c)
-            if ahead <= 0.0:
-                continue
-            here = self.outside(x + margin * c - side * s, y + margin * s + side * c)
-            if ahead >= here:
-                most = min(most, max(0.0, -here) / horizon)
+        c, s = math.cos(yaw + course), math.sin(yaw + course)
+        free = 0.0 if here > 0.0 else most
+        for (x0, y0), (x1, y1) in self._sides():
+            across = 0.5 * BODY_WIDTH + BESIDE
+            a, b = (
+                (c * (x0 - x) + s * (y0 - y), c * (y0 - y) - s * (x0 - x)),
+                (c * (x1 - x) + s * (y1 - y), c * (y1 - y) - s * (x1 - x)),
+            )
+            low, high = _clipped(a, b, across)
+            if high >= 0.0:
+                free = min(free, max(0.0, max(low, 0.0) - margin))
+        if free > 0.0:
+            return free
+        ways = (self.breach(x + k / STEPS * most * c, y + k / STEPS * most * s) for k in range(1, STEPS + 1))
+        return most if all(way <= here + (SAME if here <= 0.0 else -SAME) for way in ways) else 0.0
+
+    def free_turn(self, pose: Pose, most: float) -> float:
+        """How far [rad] of the turn `most`, to the left or, negative, to the right, leaves the body on the right side.
+        A body that is over a side already may turn where it comes no deeper."""
+        x, y, yaw = pose
+        if not most or self.breach(x, y) < -0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH):
+            return most
+        here = self._room((x, y, yaw))
+        for k in range(1, STEPS + 1):
+            if self._room((x, y, yaw + k / STEPS * most)) < min(1.0, here - 1e-6):
+                return (k - 1) / STEPS * most
         return most
+
+    def _room(self, pose: Pose) -> float:
+        """By what the body could be scaled until it met a side; negative where its middle is on the wrong side."""
+        x, y, yaw = pose
+        c, s = 2.0 * math.cos(yaw), 2.0 * math.sin(yaw)
+        room = math.inf
+        for (x0, y0), (x1, y1) in self._sides():
+            # in half bodies: the body is the square from -1 to 1
+            a = (c * (x0 - x) + s * (y0 - y)) / BODY_LENGTH, (c * (y0 - y) - s * (x0 - x)) / BODY_WIDTH
+            b = (c * (x1 - x) + s * (y1 - y)) / BODY_LENGTH, (c * (y1 - y) - s * (x1 - x)) / BODY_WIDTH
+            u, v = b[0] - a[0], b[1] - a[1]
+            # max(|x|, |y|) along a side is least at an end, on an axis, or where both are as large
+            for up, down in (
+                (0.0, 1.0),
+                (1.0, 1.0),
+                (-a[0], u),
+                (-a[1], v),
+                (a[1] - a[0], u - v),
+                (-a[0] - a[1], u + v),
+            ):
+                at = up / down if down else 0.0
+                if 0.0 <= at <= 1.0:
+                    room = min(room, max(abs(a[0] + at * u), abs(a[1] + at * v)))
+        return -room if self.breach(x, y) > 0.0 else room
+
+    def _sides(self) -> Iterator[Side]:
+        previous = self.corners[-1]
+        for corner in self.corners:
+            yield previous, corner
+            previous = corner
+
+
+def _clipped(a: Corner, b: Corner, across: float) -> tuple[float, float]:
+    """Least and most x of the part of a side with y from -`across` to `across`; most below least where there is none."""
+    (x0, y0), (x1, y1) = sorted((a, b), key=lambda p: p[1])
+    if y0 > across or y1 < -across:
+        return math.inf, -math.inf
+    slope = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
+    ends = x0 + slope * (max(y0, -across) - y0), x1 + slope * (min(y1, across) - y1)
+    return (min(ends), max(ends)) if y1 > y0 else (min(x0, x1), max(x0, x1))
+
+
+@dataclass(frozen=True, slots=True)
+class Fence:
+    """All polygons together; none means no fence."""
+
+    polygons: tuple[Geofence, ...] = ()
+
+    @staticmethod
+    def of(area: Sequence[Corner] | None, keepout: Mapping[str, Sequence[Corner]] | None = None) -> Fence:
+        """From a configuration. Raises GeofenceError."""
+        stay = [Geofence.of(area)] if area is not None else []
+        return Fence((*stay, *(Geofence.of(p, keep_out=True, name=n) for n, p in (keepout or {}).items())))
+
+    def __bool__(self) -> bool:
+        return bool(self.polygons)
+
+    def and_all_of(self, other: Fence) -> Fence:
+        """Both count."""
+        return Fence(self.polygons + other.polygons)
+
+    def breach(self, x: float, y: float) -> tuple[float, Geofence | None]:
+        """Of the polygon whose wrong side is nearest: how far the place is on it [m], negative on the right one; and it."""
+        return max(
+            ((p.breach(x, y), p) for p in self.polygons), key=lambda b: b[0], default=(-math.inf, None)
+        )
+
+    def speed(
+        self, pose: Pose, speed: float, course: float, margin: float, horizon: float
+    ) -> tuple[float, Geofence | None]:
+        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the body on the right side, and what
+        sets it.
+
+        What lies up to `margin` [m] ahead of base_link must stay there for `horizon` [s].
+        """
+        most, by = speed, None
+        for polygon in self.polygons:
+            free = (
+                polygon.free(pose, course, margin, speed * horizon) / horizon
+                if all(map(math.isfinite, pose))
+                else 0.0
+            )
+            if free < most:
+                most, by = free if free > LEAST else 0.0, polygon
+        return most, by
+
+    def turn(self, pose: Pose, rate: float, horizon: float) -> tuple[float, Geofence | None]:
+        """The most of the yaw rate `rate` [rad/s] that keeps the body on the right side for `horizon` [s], and what sets
+        it."""
+        most, by = rate, None
+        for polygon in self.polygons:
+            free = polygon.free_turn(pose, rate * horizon) / horizon if all(map(math.isfinite, pose)) else 0.0
+            if abs(free) < abs(most):
+                most, by = free, polygon
+        return most, by
+
+
+NO_FENCE = Fence()

@@ -31,8 +31,10 @@ MAX_BYTES = 1_000_000_000
 """Of the arrays in a file: a small file may claim any size."""
 
 
-def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32]) -> None:
-    """Write all tiles, and the thinned cloud (n, 3) of the same map; the file appears complete or not at all. Same map,
+def save_store(
+    store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32], areas: str = ""
+) -> None:
+    """Write all tiles, the thinned cloud (n, 3) of the same map, and a text of what was drawn on it; the file appears complete or not at all. Same map,
     same bytes. Raises OSError."""
     path = Path(path)
     keys = store.keys
@@ -44,6 +46,7 @@ def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[n
         "tile_cells": np.array(store.size),
         "tiles": keys.astype(np.int32),
         "cloud": cloud,
+        "areas": np.array(areas),
     }
     layers = {name: np.empty((len(keys), store.size, store.size), CELL[name]) for name in SAVED}
     for k, (row, col) in enumerate(keys.tolist()):
@@ -133,6 +136,13 @@ def read_cloud(path: Path) -> NDArray[np.float32]:
     if path.suffix.lower() != ".npz":
         return np.empty((0, 3), np.float32)
     return checked_cloud(_arrays(path, ("cloud",)).get("cloud", np.empty((0, 3), np.float32)), path.name)
+
+
+def areas_in(path: Path) -> str:
+    """The text of what was drawn on a map; empty where the file has none. Raises MapError."""
+    if path.suffix.lower() != ".npz":
+        return ""
+    return str(_arrays(path, ("areas",)).get("areas", ""))
 
 
 def _arrays(path: Path, only: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:

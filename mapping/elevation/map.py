@@ -389,9 +389,9 @@ class ElevationMap:
 
     # ------------------------------------------------------------------ files
 
-    def save(self, path: Path) -> None:
-        """Write the whole map and its cloud as a versioned .npz. Raises OSError."""
-        save_store(self.store, path, self.params.resolution, self.cloud.points)
+    def save(self, path: Path, areas: str = "") -> None:
+        """Write the whole map, its cloud and a text of what was drawn on it as a versioned .npz. Raises OSError."""
+        save_store(self.store, path, self.params.resolution, self.cloud.points, areas)
 
     def load_prior(self, path: Path) -> int:
         """Start from a map file (see `mapping.elevation.files`); returns its known cells. Readers see a new epoch.

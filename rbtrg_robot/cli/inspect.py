@@ -145,7 +145,7 @@ def map_save(
     try:
         params = load().graph_params()
         limits = Limits(params.max_step, params.max_slope)
-        known = save(order.patches, order.cloud, file, limits)
+        known = save(order.patches, order.cloud, file, limits, order.areas)
     except OSError as error:
         raise MapError(f"cannot write {file}: {error.strerror}; make room or name another file") from error
     say(f"{known} known cells -> {file}")

@@ -107,7 +107,12 @@ def plan(
 def _status(route: Route) -> int:
     if route.ok:
         return REACHED if route.reaches_goal else ABORTED
-    return REJECTED if route.reason in ("invalid", "goal_in_obstacle", "start_not_on_graph") else ABORTED
+    return (
+        REJECTED
+        if route.reason
+        in ("invalid", "goal_in_obstacle", "start_not_on_graph", "outside_area", "keep_out_area")
+        else ABORTED
+    )
 
 
 def _writable(path: Path) -> None:

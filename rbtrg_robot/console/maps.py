@@ -73,7 +73,7 @@ class Maps:
             outcome = await self._desk.carry_out(order)
             if not order.patches:
                 raise Refused(outcome.words)
-            known = await run_in_threadpool(save, order.patches, order.cloud, target)
+            known = await run_in_threadpool(save, order.patches, order.cloud, target, None, order.areas)
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 403)
         except OSError as error:

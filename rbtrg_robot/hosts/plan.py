@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from hal.safety.geofence import Fence
 from hal.scenes import SceneError, load_scene, scene_names
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
 from mapping.elevation.exchange import MapError
@@ -22,10 +23,11 @@ from planning.path import PathLimits
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from rbtrg_robot import msg
+from rbtrg_robot.areas import fence_of, read_areas
 from rbtrg_robot.config import ConfigError, StackConfig, load
 from rbtrg_robot.stages.map_graph import MapGraph
-from rbtrg_robot.stages.navigation.goal import arrival
-from rbtrg_robot.stages.navigation.reasons import Reason
+from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, arrival
+from rbtrg_robot.stages.navigation.reasons import Reason, words
 from rbtrg_robot.stages.planner import limits_of
 from rbtrg_robot.stages.route_report import REASONS, RouteBase
 from rbtrg_robot.stages.way import Way, WaySearch
@@ -96,6 +98,9 @@ class MapPlanner:
         self._limits: PathLimits = limits_of(config)
         elevation = ElevationMap(config.elevation, config.crossing())
         self.start, self.goals, self.taken = _fill(elevation, ground, config, start)
+        drawn = read_areas(Path(ground)) if isinstance(ground, str) and Path(ground).is_file() else []
+        fence = Fence.of(config.area, config.keepout).and_all_of(fence_of(drawn))
+        self._area = GoalArea.of(config, fence)
         self._asked: tuple[float, float] | None = None
         """The goal of the newest question that was searched."""
         self._patches = [elevation.read(box) for box in elevation.boxes()]
@@ -140,7 +145,10 @@ class MapPlanner:
                     why.value,
                     f"the {name} ({x:g}, {y:g}) lies outside the map, which reaches from {reach}",
                 )
+        if (wrong := Goal("", *goal, goal_yaw, 0).misplaced(self._area)) is not None:
+            return Route(False, wrong[0].value, words(*wrong))
         terrain = MapGraph(self.config.graph_params(), self._body, self.config.seed)
+        terrain.enclose(self._area.fence)
         for patch in self._patches:
             terrain.apply(patch)
         terrain.sync(start)
@@ -163,11 +171,11 @@ class MapPlanner:
                 return Route(False, Reason.INVALID.value, str(error))
             # There is no robot that could look or be driven: the stage's advice helps nobody here.
             where = f"the start ({start[0]:g}, {start[1]:g})"
-            words = {
+            told = {
                 NoRouteReason.NO_TERRAIN: f"the map knows no ground around {where}",
                 NoRouteReason.START_NOT_ON_GRAPH: f"no straight move leads from {where} to drivable ground",
             }.get(error.reason, str(error))
-            return Route(False, REASONS[error.reason].value, words)
+            return Route(False, REASONS[error.reason].value, told)
         return self._route(way, terrain)
 
     def _route(self, way: Way, terrain: MapGraph) -> Route:

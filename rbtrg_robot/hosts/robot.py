@@ -11,7 +11,6 @@ from typing import Any
 
 from hal.contract import Backend
 from hal.safety.gate import SafetyGate
-from hal.safety.geofence import Geofence
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import GUARD, StackConfig
@@ -46,10 +45,7 @@ def build(
     """
     watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
     backend = _simulator(config, restored or {}, begin) if config.simulated else _hardware(config, clock)
-    area = config.allowed_area()
-    gate = SafetyGate(
-        backend.capabilities, config.gate, Geofence.of(area) if area else None, guarded=GUARD in watched
-    )
+    gate = SafetyGate(backend.capabilities, config.gate, config.fence(), guarded=GUARD in watched)
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import read_areas, to_text
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.topics import Topic
@@ -33,7 +35,7 @@ AGAIN, LIMIT = 3.0, 15.0
 class FetchMap(Order):
     """The present map as patches, and its cloud, which comes before them."""
 
-    hears = (t.MAP_CLOUD, t.MAP_PARTS)
+    hears = (t.AREAS, t.MAP_CLOUD, t.MAP_PARTS)
     sends = (t.MAP_REQUEST,)
 
     def __init__(self) -> None:
@@ -44,6 +46,8 @@ class FetchMap(Order):
         self._sending = 0
         self._heard = -math.inf
         self.cloud = np.empty((0, 3), np.float32)
+        self.areas: list[msg.GroundArea] = []
+        """Drawn on it."""
 
     def message(self) -> tuple[Topic, msg.Message] | None:
         """The request, unless parts are coming."""
@@ -54,6 +58,9 @@ class FetchMap(Order):
     def take(self, topic: Topic, message: Any) -> None:
         """A cloud or a MapPart; one that is broken is none, and all are asked for again."""
         with contextlib.suppress(LayoutError):
+            if t.AREAS.carried(message, topic):
+                self.areas = message.areas
+                return
             if t.MAP_CLOUD.carried(message, topic):
                 self.cloud = cloud_points(message)
                 return
@@ -134,14 +141,20 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
     stamp = time.time_ns()
     blocks = [patch_msg(replace(elevation.read(box), stamp=stamp)) for box in elevation.boxes()]
     cloud = cloud_msg(stamp, MAP, elevation.cloud.points)
-    return msg.MapPrior(header=header(stamp, MAP), id=fingerprint(str(file)), map=blocks, cloud=cloud)
+    return msg.MapPrior(
+        header=header(stamp, MAP), id=fingerprint(str(file)), map=blocks, cloud=cloud, areas=read_areas(file)
+    )
 
 
 def save(
-    patches: list[MapPatch], cloud: NDArray[np.float32], file: Path, limits: Limits | None = None
+    patches: list[MapPatch],
+    cloud: NDArray[np.float32],
+    file: Path,
+    limits: Limits | None = None,
+    areas: Sequence[msg.GroundArea] = (),
 ) -> int:
     """Write it as `up --map` reads it, with `limits` as other programs do (see `mapping.elevation.export`); returns the
-    number of known cells. Raises OSError, MapError."""
+    number of known cells. `areas` stand in .npz alone. Raises OSError, MapError."""
     from mapping.elevation.export import write
     from mapping.elevation.map import ElevationMap
 
@@ -154,5 +167,5 @@ def save(
     elevation.cloud.enter(cloud)
     if limits is not None:
         return write(elevation, file, limits)
-    elevation.save(file)
+    elevation.save(file, to_text(areas))
     return known

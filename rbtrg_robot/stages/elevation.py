@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import stand_height
+from hal.safety.geofence import GeofenceError
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.files import checked_cloud
@@ -24,6 +26,7 @@ from mapping.relocalise import warm_up
 from mapping.relocalise.door import OURS, OwnFinder
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import fence_of, read_areas
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
@@ -64,7 +67,7 @@ class ElevationStage:
     and writes no file.
     """
 
-    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
+    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS, t.AREAS)
 
     def __init__(
         self,
@@ -75,16 +78,18 @@ class ElevationStage:
         start: Planar = (0.0, 0.0, 0.0),
         name: str = "",
         later: Callable[[], ElevationMap] | None = None,
+        areas: Sequence[msg.GroundArea] = (),
     ) -> None:
         """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds
         none. start: x, y [m], yaw [rad] of the robot in `map` as configured. `later`: reads the prior map, which
         `elevation` does not hold yet, for a process that was started anew: it gets its map from the planner, the prior
-        one in it, and needs no other.
+        one in it, and needs no other. `areas`: those that were drawn on the prior map.
         """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
             *(t.ODOM, *clouds, t.JOINTS, t.TF_STATIC),
             *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.ROUTE_STATUS, t.INITIAL_POSE, t.TOUCHED),
+            t.AREAS_REQUEST,
         )
         self.map = elevation
         self._params = params
@@ -117,6 +122,8 @@ class ElevationStage:
         self._refused = 0
         self._handover = Handover(elevation)
         """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
+        self._areas = msg.Areas(areas=list(areas))
+        self._areas_due = bool(areas)
         self._sending = MapBlocks()
         self._more = False
         """More has changed than is told at once."""
@@ -160,6 +167,10 @@ class ElevationStage:
             elif t.TOUCHED.carried(message, topic):
                 x, y, z = xyz(message.pose.position).tolist()
                 self.map.touch(x, y, z, yaw_of(message.pose.orientation), stamp_of(message))
+            elif t.AREAS_REQUEST.carried(message, topic):
+                return self._draw(message)
+            elif t.AREAS.carried(message, topic):  # of the process before this one
+                self._areas, self._areas_due = message, True
             elif t.MAP_REQUEST.carried(message, topic):
                 return self._request(message)
             elif t.MAP_STATUS.carried(message, topic):
@@ -265,6 +276,10 @@ class ElevationStage:
         )
 
     def _take_prior(self, message: msg.MapPrior) -> Outputs:
+        try:
+            fence_of(message.areas)
+        except GeofenceError as error:
+            raise LayoutError(str(error)) from error
         patches = tuple(map_patch(block, self.map.epoch) for block in message.map)
         if not patches:
             raise LayoutError("a prior map without a block")
@@ -280,6 +295,7 @@ class ElevationStage:
             message.id, "the loaded map", start, patches, cloud, patches[0].stamp, finder=self._finder
         )
         self._location = self._prior.search()
+        self._areas, self._areas_due = msg.Areas(areas=message.areas), True
         return self._begin("the map was loaded")
 
     def _begin(self, why: str) -> Outputs:
@@ -301,6 +317,21 @@ class ElevationStage:
         self._detail, self._status_due = f"{why}; {known} cells are known from before", 0
         return self.tick(self.map.stamp)
 
+    def _draw(self, wanted: msg.Areas) -> Outputs:
+        """Other areas, or why not."""
+        try:
+            fence_of(wanted.areas)
+            self._areas.areas, refused = wanted.areas, ""
+        except GeofenceError as error:
+            refused = str(error)
+        self._areas = replace(self._areas, id=wanted.id, refused=refused)
+        return self._tell_areas()
+
+    def _tell_areas(self) -> Outputs:
+        self._areas_due = False
+        self._areas.header = header(self._now, MAP)
+        return [(t.AREAS, self._areas)]
+
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action in ("full", "parts"):
             try:
@@ -308,7 +339,11 @@ class ElevationStage:
                     return []
                 blocks = self._blocks(message.action)
                 cloud = cloud_msg(self.map.stamp, MAP, self.map.cloud.points)
-                return [(t.MAP_CLOUD, cloud), *self._sending.begin(message.action, blocks)]
+                return [
+                    *self._tell_areas(),
+                    (t.MAP_CLOUD, cloud),
+                    *self._sending.begin(message.action, blocks),
+                ]
             except MapError as error:
                 self._detail, self._status_due = str(error), 0
                 raise
@@ -358,6 +393,8 @@ class ElevationStage:
         """Status twice a second, with the stamp of the newest scan in the map: who depends on the map sees how old it
         is."""
         self._now = now
+        if self._areas_due:
+            return [*self._tell_areas(), *self.tick(now)]
         if self._handover.overdue(now):
             return self._give_up()
         sent = self._sending.due()
@@ -419,4 +456,5 @@ def _build(
         config.start_pose(),
         Path(config.map_file).name,
         later,
+        read_areas(Path(config.map_file)) if config.map_file else (),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hal.safety.geofence import NO_FENCE, Fence
 from mapping.elevation.exchange import MapError, MapPatch
 from mapping.elevation.mirror import MapMirror, window_of
 from mapping.grid import ElevationGrid
@@ -14,6 +15,7 @@ from planning.risk.table import RiskTable
 from planning.risk.terrain import Terrain
 from planning.search.plan import Plan, PlanRequest, plan
 from planning.search.to_go import way_to_go
+from rbtrg_robot.stages.walls import wall_up, windows
 
 WHOLE = 500_000
 """Cells of a map on which a whole graph is drawn anew: up to 0.4 s. On larger ones other nodes are drawn in places."""
@@ -39,6 +41,8 @@ class MapGraph:
         self.grid: ElevationGrid | None = None
         self.table: RiskTable | None = None
         self.body = body
+        self.fence: Fence = NO_FENCE
+        """Walls in the grid; see `enclose`."""
         self._overlaid: Box | None = None
         """Part of the newest grid where the window lies over the mirror."""
         self._changed: list[Box] = []
@@ -72,6 +76,13 @@ class MapGraph:
         if self.window is not None and self.mirror.stamp >= self.window.stamp:
             self.window = None
 
+    def enclose(self, fence: Fence) -> None:
+        """From the next `sync` on this fence stands around what is planned on, in place of the one before."""
+        if self.known and fence != self.fence:
+            for one in (self.fence, fence):
+                self._changed += windows(one, self.mirror.resolution)
+        self.fence = fence
+
     def sync(self, start: tuple[float, float]) -> bool:
         """Bring grid and graph to the newest map. False where the window does not lie on it; it is dropped then."""
         if not self.known:
@@ -98,8 +109,13 @@ class MapGraph:
         if not (view.rows and view.cols):  # the robot stands far from all that was seen
             self.graph = self.grid = None
             return fits
-        windows = [(r0 - view.row, c0 - view.col, r1 - view.row, c1 - view.col) for r0, c0, r1, c1 in changed]
-        self.refresh(start, self.mirror.grid(view, self.window), windows)
+        grid = self.mirror.grid(view, self.window)
+        wall_up(grid, self.fence)
+        self.refresh(
+            start,
+            grid,
+            [(r0 - view.row, c0 - view.col, r1 - view.row, c1 - view.col) for r0, c0, r1, c1 in changed],
+        )
         return fits
 
     def refresh(self, start: tuple[float, float], grid: ElevationGrid, windows: list[Box]) -> None:

@@ -13,7 +13,7 @@ from hal.envelope import Envelope
 from hal.safety.planned import free_turn, known_behind, mapped
 from hal.types import NS, Capabilities
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
-from planning.errors import NoRoute, PlanningError
+from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams
 from planning.path import (
     Path,
@@ -28,11 +28,13 @@ from planning.search.plan import DriveRules, Plan, PlanRequest
 from planning.search.to_go import through_virtual
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import fence_of
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.look_around import views_of
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.map_graph import MapGraph
+from rbtrg_robot.stages.navigation.goal import Goal, GoalArea
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.route_report import REASONS, RouteBase, path_msg, plan_fields, too_risky, worst_of
 from rbtrg_robot.stages.stage import Outputs
@@ -66,6 +68,7 @@ class PlannerStage:
         t.PLAN_REQUEST,
         t.ROUTE_QUESTION,
         t.EXPLORE_QUESTION,
+        t.AREAS,
     )
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR, t.VIEWPOINTS)
     needs_all = (t.MAP_UPDATE, t.MAP_STATUS)
@@ -81,14 +84,17 @@ class PlannerStage:
         seed: int = 0,
         creep: float = 0.0,
         envelope: Envelope | None = None,
+        area: GoalArea = GoalArea(),
     ) -> None:
         """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`; `envelope`: of the controller that
-        drives."""
+        drives; `area`: what the configuration keeps the robot in and out of."""
+        self._area, self._configured = area, area
         self._envelope = envelope
         self._params = params
         self._body = body
         self._limits = limits
         self._map = MapGraph(graph_params, body, seed)
+        self._map.enclose(area.fence)
         self._ways = WaySearch(params, body, limits, creep, envelope)
         self._epoch = 0
         self._updated = 0
@@ -178,6 +184,9 @@ class PlannerStage:
                 self._returning.stop()
             elif self._map.known:
                 return self._return_map()
+        elif t.AREAS.carried(message, topic):
+            self._area = self._configured.beside(fence_of(message.areas))
+            self._map.enclose(self._area.fence)
         elif t.PLAN_REQUEST.carried(message, topic):
             return self._answer(message)
         elif t.ROUTE_QUESTION.carried(message, topic):
@@ -339,7 +348,7 @@ class PlannerStage:
             way = self._ways.find(self._map, message, driven, self._now)
         except NoRoute as none:
             reason = REASONS[none.reason]
-            return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(none)))]
+            return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=self._why(none)))]
         except PlanningError as error:
             reason = Reason.INVALID
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
@@ -363,6 +372,13 @@ class PlannerStage:
             outputs.append((t.ROUTE_STATUS, self._status(self._now)))
         return outputs
 
+    def _why(self, none: NoRoute) -> str:
+        """In words, also for who does not see the fence."""
+        kept = none.reason is not NoRouteReason.START_NOT_ON_GRAPH and any(
+            p.keep_out for p in self._map.fence.polygons
+        )
+        return f"{none}; keep-out areas are as walls" if kept else str(none)
+
     def _question(self, message: msg.RouteQuestion) -> Outputs:
         """How a route would go. The plan that is driven, and what it is watched by, stay as they are."""
         start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
@@ -376,11 +392,14 @@ class PlannerStage:
         rules = self._ways.rules
         variant = self._params.variant
         wanted = PlanRequest(start, goal, message.start_yaw, yaw, variant, rules=rules, allow_frontier=True)
+        if (wrong := Goal("", *goal, yaw, 0).misplaced(self._area)) is not None:
+            return [(t.ROUTE_REPORT, base.refused(*wrong, graph))]
         try:
+            self._ways.begins(self._map, start)
             found = self._ways.told(self._map, self._map.search(wanted))
             path = self._ways.path_of(self._map, found)
         except NoRoute as none:
-            return [(t.ROUTE_REPORT, base.refused(REASONS[none.reason], str(none), graph))]
+            return [(t.ROUTE_REPORT, base.refused(REASONS[none.reason], self._why(none), graph))]
         except PlanningError as error:
             return [(t.ROUTE_REPORT, base.refused(Reason.INVALID, str(error), graph))]
         try:
@@ -395,7 +414,14 @@ def build(config: StackConfig) -> PlannerStage:
     """From the stack's configuration."""
     graph, robot = config.graph_params(), config.capabilities()
     return PlannerStage(
-        config.planner, graph, config.body, limits_of(config), config.seed, robot.creep, config.envelope()
+        config.planner,
+        graph,
+        config.body,
+        limits_of(config),
+        config.seed,
+        robot.creep,
+        config.envelope(),
+        GoalArea.of(config),
     )
 
 

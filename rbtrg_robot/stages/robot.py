@@ -31,6 +31,7 @@ from hal.types import (
 )
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import fence_of
 from rbtrg_robot.config import GUARD
 from rbtrg_robot.stages.command_path import CommandPath
 from rbtrg_robot.stages.feeling import Feeling
@@ -71,6 +72,7 @@ class RobotStage:
         t.POSE,
         t.TF_STATIC,
         t.MOTION_LIMITS,
+        t.AREAS,
     )
 
     def __init__(
@@ -79,6 +81,8 @@ class RobotStage:
         """`watched`: processes without which the robot must not move."""
         self.backend = backend
         self._gate = gate
+        self._fence = gate.geofence
+        """Of the configuration."""
         self._simulated = simulated
         self._missing = set(watched)
         self._watched = watched
@@ -158,6 +162,8 @@ class RobotStage:
             limits = (message.forward, message.backward, message.left, message.right)
             uneven = (message.uneven_ahead, message.uneven_behind)
             self._limits[sender] = MotionLimits(stamp_of(message), *limits, message.reason, *uneven)
+        elif t.AREAS.carried(message, topic):
+            self._gate.geofence = self._fence.and_all_of(fence_of(message.areas))
         elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
         elif t.ROBOT_STOP.carried(message, topic):

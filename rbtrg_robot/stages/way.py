@@ -115,6 +115,7 @@ class WaySearch:
         if message.goal_id != self._goal:
             self._begin(message.goal_id)
         here = message.start_x, message.start_y
+        self.begins(terrain, here)
         if self._crept is not None and math.dist(here, self._crept) > LEFT:
             self._crept = None
         self._memory.at(here, now / NS, virtual=self._looks_over)
@@ -128,6 +129,16 @@ class WaySearch:
         graph = terrain.graph
         self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))
         return replace(way, plan=self.told(terrain, way.plan))
+
+    @staticmethod
+    def begins(terrain: MapGraph, here: tuple[float, float]) -> None:
+        """Raises NoRoute for a robot at x, y [m] that stands behind the fence."""
+        breach, by = terrain.fence.breach(*here)
+        if by is not None and breach > 0.0:
+            raise NoRoute(
+                NoRouteReason.START_NOT_ON_GRAPH,
+                f"it is {breach:.2f} m behind {by.words}: drive it back by hand",
+            )
 
     def told(self, terrain: MapGraph, found: Plan) -> Plan:
         """The plan with its chance."""

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from hal.safety.gate import GateConfig, GateInputs, SafetyGate
 from hal.safety.gate_types import MotionLimits
-from hal.safety.geofence import Geofence
+from hal.safety.geofence import Fence
 from hal.types import NS, Capabilities, Phase, RobotState, VelocityCommand
 from hal.unitree.api import Sport
 from hal.unitree.config import UnitreeConfig
@@ -155,7 +155,7 @@ def gate_stops(config: StackConfig) -> None:
 def fence_holds(config: StackConfig) -> None:
     """A robot that brakes with 1.5 m/s^2, 0.1 s late, keeps its front inside, and comes near the fence."""
     caps = Capabilities("test", max_vx=MOST, max_wz=1.0, max_accel=1.0, max_alpha=3.0)
-    gate = SafetyGate(caps, config.gate, Geofence.of([(-5, -5), (5, -5), (5, 5), (-5, 5)]), guarded=False)
+    gate = SafetyGate(caps, config.gate, Fence.of([(-5, -5), (5, -5), (5, 5), (-5, 5)]), guarded=False)
     x, v, now, asked = 0.0, 0.0, NS, [0.0] * 5
     for _ in range(1500):
         now += TICK

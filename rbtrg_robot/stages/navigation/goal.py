@@ -9,7 +9,7 @@ from typing import Any
 
 from hal.go2w import BODY_WIDTH
 from hal.rotation import wrap
-from hal.safety.geofence import Geofence
+from hal.safety.geofence import NO_FENCE, Fence
 from rbtrg_robot import msg
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stages.navigation.progress import Pose2
@@ -60,18 +60,22 @@ UNSEEN = 0.2
 
 @dataclass(frozen=True, slots=True)
 class GoalArea:
-    """What goals must lie in."""
+    """What goals must lie in, and out of."""
 
-    fence: Geofence | None = None
+    fence: Fence = NO_FENCE
     room: float = 0.0
     """That the robot needs to the fence [m]."""
 
     @classmethod
-    def of(cls, config: StackConfig) -> GoalArea:
-        """The allowed area of a stack."""
-        polygon = config.allowed_area()
-        room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
-        return cls(Geofence.of(polygon) if polygon else None, room)
+    def of(cls, config: StackConfig, fence: Fence | None = None) -> GoalArea:
+        """Those of a stack's configuration, or of a fence for its robot."""
+        return cls(
+            config.fence() if fence is None else fence, math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
+        )
+
+    def beside(self, drawn: Fence) -> GoalArea:
+        """With those that were drawn."""
+        return GoalArea(self.fence.and_all_of(drawn), self.room)
 
 
 def over_unseen(plan: msg.Plan) -> str:
@@ -177,12 +181,13 @@ class Goal:
         """Why the robot cannot go there; None where it can."""
         if not all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout)):
             return Reason.INVALID, "it has numbers that are not finite"
-        outside = -math.inf if area.fence is None else area.fence.outside(self.x, self.y)
-        if outside > 0.0:
-            return Reason.OUTSIDE, f"by {outside:.1f} m"
-        if outside > -area.room:
-            return Reason.OUTSIDE, f"only {-outside:.2f} m inside the fence; the body needs {area.room:.2f} m"
-        return None
+        breach, by = area.fence.breach(self.x, self.y)
+        if by is None or breach <= -area.room:
+            return None
+        reason = Reason.KEPT_OUT if by.keep_out else Reason.OUTSIDE
+        if breach > 0.0:
+            return reason, f"by {breach:.1f} m" + (f", {by.name}" if by.name else "")
+        return reason, f"only {-breach:.2f} m to {by.words}; the body needs {area.room:.2f} m"
 
     def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         """Enter a terminal state."""

@@ -9,6 +9,7 @@ from typing import Any
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import fence_of
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, over_unseen, status_of
@@ -34,7 +35,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 
-REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE, Reason.TOO_RISKY)
+REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.KEPT_OUT, Reason.IN_OBSTACLE, Reason.TOO_RISKY)
 """Reasons that refuse a goal that never had a route; later they abort it."""
 PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
@@ -72,6 +73,7 @@ class NavigatorStage:
         t.TF_STATIC,
         t.MOTION_LIMITS,
         t.TOUCHED,
+        t.AREAS,
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
@@ -86,7 +88,7 @@ class NavigatorStage:
         """`step_vx` [m/s], `max_trunk_tilt` [rad], `creep` [m/s]: see `Capabilities`."""
         self._tilt, self._creep = max_trunk_tilt, creep
         self._params = params
-        self._area = area
+        self._area, self._configured = area, area
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
@@ -138,6 +140,8 @@ class NavigatorStage:
             self._route.told(self._now, message)
         elif t.TOUCHED.carried(message, topic):
             self._touched(message)
+        elif t.AREAS.carried(message, topic):
+            self._area = self._configured.beside(fence_of(message.areas))
         elif t.GOAL_STATUS.carried(message, topic):
             self._restore(message)
         return self._out

@@ -15,6 +15,7 @@ class Reason(StrEnum):
     NONE = ""
     INVALID = "invalid"
     OUTSIDE = "outside_area"
+    KEPT_OUT = "keep_out_area"
     IN_OBSTACLE = "goal_in_obstacle"
     START_OFF_GRAPH = "start_not_on_graph"
     NO_ROUTE = "no_route"
@@ -43,6 +44,7 @@ WORDS: dict[Reason, str] = {
     Reason.NONE: "",
     Reason.INVALID: "the goal is not a valid position",
     Reason.OUTSIDE: "the goal is outside the allowed area",
+    Reason.KEPT_OUT: "the goal is in a keep-out area",
     Reason.IN_OBSTACLE: "the goal is in a known obstacle (no free place within 0.5 m)",
     Reason.START_OFF_GRAPH: "the robot stands where no route can begin",
     Reason.NO_ROUTE: "no route to the goal",

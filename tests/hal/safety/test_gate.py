@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from hal.safety.gate import GateConfig, GateInputs, RefusalReason, SafetyGate, StopCause
 from hal.safety.gate_types import MotionLimits
-from hal.safety.geofence import Geofence, GeofenceError
+from hal.safety.geofence import Fence, Geofence, GeofenceError
 from hal.safety.monitors import MOVES_UNTOLD, taken_out
 from hal.safety.tilt import TiltFilter
 from hal.types import FELT_EDGE, NS, Capabilities, ImuSample, Phase, RobotState, VelocityCommand
@@ -447,7 +447,7 @@ def test_without_the_monitor_nothing_moves_untold():
 
 
 def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():
-    fence = Geofence.of([(0, 0), (4, 0), (4, 4), (0, 4)])
+    fence = Fence.of([(0, 0), (4, 0), (4, 4), (0, 4)])
     gate = SafetyGate(CAPS, geofence=fence)
     out, now = run(gate, 0, 1.0, pose=(2.0, 2.0, 0.0))
     assert out.vx == 0.5
@@ -459,7 +459,7 @@ def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():
     out, now = run(gate, now, 1.0, wz=0.3, pose=(3.6, 2.0, 0.0))
     assert out.vx == 0.0
     assert out.wz == pytest.approx(0.3)
-    assert gate.status().hold == "geofence"
+    assert gate.status().hold == "geofence: the edge of the allowed area"
     out, now = run(gate, now, 1.0, pose=(4.3, 2.0, 0.0))
     assert out.vx == 0.0
     out, now = run(gate, now, 1.0, pose=(4.3, 2.0, math.pi))
@@ -506,7 +506,7 @@ def test_a_fence_may_be_closed_by_hand_and_may_have_corners_along_a_side():
 
 
 def test_the_fence_keeps_the_corners_of_the_body_in():
-    gate = SafetyGate(CAPS, geofence=Geofence.of([(-9, -9), (2, -9), (2, 9), (-9, 9)]))
+    gate = SafetyGate(CAPS, geofence=Fence.of([(-9, -9), (2, -9), (2, 9), (-9, 9)]))
     for heading in np.radians(np.arange(-80.0, 81.0, 5.0)):
         gate.forget()
         x, now = 1.0, 0

@@ -14,7 +14,7 @@ from hal.contract import Backend
 from hal.lidar.config import only
 from hal.mujoco.backend import MujocoBackend
 from hal.safety.gate import GateConfig, SafetyGate
-from hal.safety.geofence import Geofence
+from hal.safety.geofence import Fence
 from hal.safety.tilt import TiltFilter
 from hal.scenes import Scene
 from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, RobotState, Sample
@@ -90,7 +90,7 @@ class Rig:
     def __init__(self, make_backend: Callable[[], tuple[Backend, Callable[[], float]]]) -> None:
         backend, self.speed = make_backend()
         self.robot = Bent(backend)
-        fence = Geofence.of([(-50, -50), (50, -50), (50, 50), (-50, 50)])
+        fence = Fence.of([(-50, -50), (50, -50), (50, 50), (-50, 50)])
         self.gate = SafetyGate(backend.capabilities, GateConfig(not_moving_stop=3.0), fence)
         self.stage = RobotStage(self.robot, self.gate, simulated=True, watched=frozenset({"navigator"}))  # type: ignore[arg-type]
         self.health = Health(simulated=True)
@@ -221,7 +221,7 @@ CASES = {
     "not ready": Case(
         _state(phase=Phase.DISCONNECTED, cause="no LowState"), "held (robot is disconnected: no LowState)"
     ),
-    "geofence": Case(_at_the_fence, "held (geofence)"),
+    "geofence": Case(_at_the_fence, "held (geofence: the edge of the allowed area)"),
 }
 
 

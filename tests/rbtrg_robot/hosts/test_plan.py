@@ -12,6 +12,7 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
+from hal.go2w import BODY_WIDTH
 from hal.scenes import SceneError
 from rbtrg_robot.cli import plan as plan_command
 from rbtrg_robot.config import ConfigError, load
@@ -31,6 +32,18 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def planner(wall: Path) -> MapPlanner:
     return MapPlanner(str(wall), load())
+
+
+def test_what_the_robot_keeps_out_of_is_planned_around_and_is_no_goal(wall: Path) -> None:
+    gap = {"gap": [(3.5, 3.9), (4.5, 3.9), (4.5, 6.2), (3.5, 6.2)]}
+    closed = MapPlanner(str(wall), load(keepout=gap))
+    assert not closed.plan((1.0, 1.0), (7.0, 1.0)).reaches_goal
+    route = closed.plan((1.0, 1.0), (4.0, 5.0))
+    assert (route.reason, route.detail) == ("keep_out_area", "the goal is in a keep-out area: by 0.5 m, gap")
+    half = {"gap": [(3.5, 3.9), (4.5, 3.9), (4.5, 4.9), (3.5, 4.9)]}
+    around = MapPlanner(str(wall), load(keepout=half)).plan((1.0, 1.0), (7.0, 1.0))
+    assert around.reaches_goal
+    assert min(y for x, y, *_ in around.path if 3.5 < x < 4.5) > 4.9 + 0.5 * BODY_WIDTH
 
 
 def run(*words: str) -> tuple[int, str]:

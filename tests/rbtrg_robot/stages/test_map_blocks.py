@@ -13,6 +13,7 @@ from mapping.elevation.mirror import MapMirror
 from planning.risk.body import BodyModel
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import ground_area, plain
 from rbtrg_robot.config import load
 from rbtrg_robot.orders.map import FetchMap, read, save
 from rbtrg_robot.stages import planner
@@ -41,9 +42,14 @@ def test_a_large_map_comes_in_parts_is_saved_and_sent_again(tmp_path: Path) -> N
     for patch in squares():
         fed.stage.map.restore(patch)
     fed.sweep(2.0, 2.0)  # amid the first square: the ground under the wheels makes no block of its own
+    pond = ground_area("pond", [(1.0, 1.0), (2.0, 1.0), (2.0, 2.0)], keep_out=True)
+    line = ground_area("line", [(1.0, 1.0), (2.0, 2.0), (3.0, 3.0)], keep_out=True)
+    for areas, refused in (([pond], ""), ([pond, line], "the geofence has no area")):
+        ((_, told),) = fed.stage.on(t.AREAS_REQUEST, msg.Areas(id="drawn", areas=areas))
+        assert (told.id, told.refused, plain(told.areas)) == ("drawn", refused, plain([pond]))
     order = FetchMap()
     outputs = fed.stage.on(t.MAP_REQUEST, msg.MapRequest(action="parts"))
-    assert [topic for topic, _ in outputs] == [t.MAP_CLOUD, t.MAP_PARTS]
+    assert [topic for topic, _ in outputs] == [t.AREAS, t.MAP_CLOUD, t.MAP_PARTS]
     ticks = 0
     while order.outcome is None and ticks < 100:
         for topic, message in outputs:
@@ -54,11 +60,12 @@ def test_a_large_map_comes_in_parts_is_saved_and_sent_again(tmp_path: Path) -> N
     assert order.outcome is not None
     assert order.outcome.ok
     assert len(order.patches) == ticks > 3
-    known = save(order.patches, order.cloud, tmp_path / "map.npz")
+    known = save(order.patches, order.cloud, tmp_path / "map.npz", None, order.areas)
     assert known == sum(int(np.isin(patch.layers["source"], (1, 2)).sum()) for patch in order.patches)
     assert known >= len(PLACES) * 100 * 100
     prior = read(tmp_path / "map.npz", fed.stage.map.params)
     assert len(prior.map) == len(PLACES)
+    assert plain(prior.areas) == plain([pond])
     other = ElevationMap()
     assert other.begin_on([map_patch(block, 0) for block in prior.map], order.cloud) == known
     assert other.window(301.0, 301.0, 0.5).layers["trusted"].all()

@@ -11,15 +11,17 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hal.rotation import wrap
-from hal.safety.geofence import Geofence
+from hal.safety.geofence import Fence
 from hal.types import NS
 from planning.tracking.tracker import PathTracker
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import ground_area
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import GoalArea, GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
+from rbtrg_robot.stages.navigation.reasons import words
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, quaternion, rpy_quaternion
 from rbtrg_robot.wire.messages import encode, header
@@ -34,7 +36,7 @@ class World:
     def __init__(
         self, area: Any = None, *, placed: bool = True, tilt: float = 0.0, creep: float = 0.0
     ) -> None:
-        goals = GoalArea(Geofence.of(area) if area else None, 0.46)
+        goals = GoalArea(Fence.of(area), 0.46)
         self.stage = NavigatorStage(NavigatorConfig(), goals, max_trunk_tilt=tilt, creep=creep)
         self.now = 0
         self.out: list[tuple[Topic, Any]] = []
@@ -358,8 +360,23 @@ def test_a_goal_nearer_to_the_fence_than_the_body_is_rejected_and_says_so() -> N
     world.run(0.5)
     world.goal(x=4.6)
     assert (world.status.state, world.status.reason) == ("rejected", "outside_area")
-    assert world.status.detail == "only 0.40 m inside the fence; the body needs 0.46 m"
+    assert world.status.detail == "only 0.40 m to the edge of the allowed area; the body needs 0.46 m"
     world.goal(x=4.5, goal_id="inside")
+    assert world.status.state == "planning"
+
+
+def test_a_goal_in_an_area_that_was_drawn_to_be_kept_out_of_is_rejected_until_it_is_gone() -> None:
+    world = World(SQUARE)
+    world.run(0.5)
+    pond = ground_area("pond", [(1, -1), (3, -1), (3, 1), (1, 1)], keep_out=True)
+    world.send(t.AREAS, areas=[pond])
+    world.goal(x=2.0)
+    assert (world.status.state, world.status.reason) == ("rejected", "keep_out_area")
+    assert words(world.status.reason, world.status.detail) == "the goal is in a keep-out area: by 1.0 m, pond"
+    world.goal(x=0.7, goal_id="beside")
+    assert world.status.detail == "only 0.30 m to the keep-out area pond; the body needs 0.46 m"
+    world.send(t.AREAS)
+    world.goal(x=2.0, goal_id="again")
     assert world.status.state == "planning"
 
 

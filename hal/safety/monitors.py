@@ -376,7 +376,7 @@ SCANS_DISAGREE = Monitor(
     Check.AGREEMENT,
     Consequence.DEGRADE,
     "odometry",
-    "over {seconds:.0f} s the scans lead {moved:.2f} m and {turned:.0f} deg from where wheels and gyro do: the wheels slip, or what the LiDAR shows is not where the robot is",
+    "over {seconds:.0f} s the scans lead {moved:.2f} m and {turned:.0f} deg from where each wheel and the gyro do: all wheels slip, or what the LiDAR shows is not where the robot is",
     "look whether the wheels spin; if not, restart the stack",
     high=1.0,
     unit="of 0.4 m or 6 deg over a second",

@@ -14,7 +14,7 @@ from hal.types import NS, Array
 WINDOW = NS
 """Time that is looked at [ns]."""
 MOVED, TURNED = 0.4, math.radians(6.0)
-"""Most that wheels on firm ground [m] and a gyro [rad] are off within it; a wheel that spins on an edge loses 0.1 m."""
+"""Most that wheels on firm ground [m] and a gyro [rad] are off within it."""
 
 
 def way_ahead(before: Array, after: Array) -> float:
@@ -26,22 +26,26 @@ class Agreement:
     """Sums what the scans say beside dead reckoning."""
 
     def __init__(self) -> None:
-        self._off: deque[tuple[int, float, float]] = deque()
-        """End of a scan [ns], and way ahead [m] and turn about z [rad] by which it and dead reckoning differ."""
+        self._off: deque[tuple[int, Array, float]] = deque()
+        """End of a scan [ns], and way ahead [m] of each wheel (4,) and turn about z [rad] by which it and dead reckoning
+        differ."""
 
-    def add(self, stamp: int, before: Array, after: Array, rolled: float, turned: float) -> str:
-        """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`; the wheels rolled `rolled` [m], NaN where they do not tell, and the gyro
-        turned by `turned` [rad]. Why the two disagree, in words; empty while they do not.
+    def add(self, stamp: int, before: Array, after: Array, rolled: Array, turned: float) -> str:
+        """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`; each wheel rolled `rolled` (4,) [m], NaN
+        where they do not tell, and the gyro turned by `turned` [rad]. Why the two disagree, in words; empty while they
+        do not. Wheels that spin on an edge or at a face roll farther than those that do not, so the way lies between.
         """
         turn = rotation_vector(before[:3, :3].T @ after[:3, :3])[2]
-        ahead = way_ahead(before, after) - rolled if math.isfinite(rolled) else 0.0
-        self._off.append((stamp, ahead, wrap(float(turn) - turned)))
+        ahead = way_ahead(before, after) - rolled
+        self._off.append((stamp, np.where(np.isfinite(ahead), ahead, 0.0), wrap(float(turn) - turned)))
         while self._off[0][0] <= stamp - WINDOW:
             self._off.popleft()
-        ahead, turn = np.abs(np.array(self._off)[:, 1:].sum(axis=0)).tolist()
-        if not SCANS_DISAGREE.outside(max(ahead / MOVED, turn / TURNED)):
+        wheels = np.sum([off for _, off, _ in self._off], axis=0)
+        way = max(float(wheels.min()), -float(wheels.max()), 0.0)
+        turn = abs(math.fsum(off for *_, off in self._off))
+        if not SCANS_DISAGREE.outside(max(way / MOVED, turn / TURNED)):
             return ""
-        return SCANS_DISAGREE.tell(seconds=WINDOW / NS, moved=ahead, turned=math.degrees(turn))
+        return SCANS_DISAGREE.tell(seconds=WINDOW / NS, moved=way, turned=math.degrees(turn))
 
     def forget(self) -> None:
         """Break the comparison: the robot was found elsewhere."""

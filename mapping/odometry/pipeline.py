@@ -48,7 +48,7 @@ from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
 from mapping.odometry.stillness import still
 from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
-from mapping.odometry.wheels import WheelOdometry, velocities
+from mapping.odometry.wheels import WheelOdometry, velocities, ways_of_wheels
 
 ZERO = np.zeros(6)
 FASTEST, FALLS = 4.0, 1.6
@@ -94,6 +94,8 @@ class LidarInertialOdometry:
         self._agreement = Agreement()
         self._rolled, self._turned = math.nan, 0.0
         """What wheels [m] and gyro [rad] tell of the way and the turn since the last scan."""
+        self._each = np.full(4, np.nan)
+        """The same of each wheel [m]."""
         self._untrue = ""
         """Why what the filter integrated since the last scan cannot be believed; empty where it can."""
         self._still = False
@@ -221,8 +223,8 @@ class LidarInertialOdometry:
                 self._calibrate(since, before, predicted, match.pose, verdict.covariance, cloud, others)
         self._learn_scale(before, sweep.end - since, verdict)
         if verdict.insert and not (searching or verdict.strange):
-            after, rolled = self._filter.pose(), self._rolled * self._scale.value
-            self._notes += filter(None, [self._agreement.add(sweep.end, before, after, rolled, self._turned)])
+            after, each = self._filter.pose(), self._each * self._scale.value
+            self._notes += filter(None, [self._agreement.add(sweep.end, before, after, each, self._turned)])
         else:
             self._agreement.forget()
         self._health, self._reason = verdict.health, verdict.reason
@@ -344,6 +346,10 @@ class LidarInertialOdometry:
         self._still = bool(touching and still(inside, x[10:13], joints, wheel))
         rate = float(inside[:, 2].mean()) if len(inside) else x[12]
         self._turned = (rate - x[12]) * (end - state.stamp) * 1e-9
+        turning = inside[:, :3].mean(axis=0) - x[10:13] if len(inside) else np.zeros(3)
+        self._each = np.full(4, np.nan)
+        if touching:
+            self._each = ways_of_wheels(joints, turning, (end - state.stamp) * 1e-9)
         stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
         speed = float(np.linalg.norm(state.x[3:6]))
         gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))

@@ -46,21 +46,12 @@ Of ten drives over kerbs of 20 cm (25, 100, 400 tried) the height was 25, 22, 21
 
 
 @njit(cache=True)
-def leg_velocity(
-    q: Array,
-    dq: Array,
-    tau: Array,
-    gyro: Array,
-    noise: Array,
-    out: Array,
-    sigma: Array,
-    contact: NDArray[np.bool_],
-) -> float:
-    """Velocity of base_link [m/s], base_link axes, into `out` (3,), its standard deviation into `sigma` (3,), contact into (4,).
+def wheel_velocities(q: Array, dq: Array, tau: Array, gyro: Array, velocity: Array, height: Array) -> None:
+    """What each wheel alone tells: velocity of base_link [m/s], base_link axes, into `velocity` (4, 3), and its height
+    above the contact [m], along the normal of the plane under the wheels, into `height` (4,). NaN where it does not touch.
 
-    `q`, `dq`, `tau`: (16,) SDK order; `gyro` (3,) without bias; `noise` (3,): standard deviation without slip. All efforts exactly zero
-    means that they are not reported: every wheel counts. Returns base_link's height above the plane under the wheels [m];
-    NaN (and infinite sigma) when no wheel touches.
+    `q`, `dq`, `tau`: (16,) SDK order; `gyro` (3,) without bias. All efforts exactly zero means that they are not
+    reported: every wheel counts.
     """
     centre = wheel_centres(q)
     jacobian = wheel_jacobians(q)
@@ -77,17 +68,14 @@ def leg_velocity(
     reported = False
     for k in range(16):
         reported = reported or tau[k] != 0.0
-    velocity = np.empty((4, 3))
-    count = 0
-    height = 0.0
+    velocity[:] = np.nan
+    height[:] = np.nan
     for leg in range(4):
         j = jacobian[leg]
-        contact[leg] = True
         if reported:
             fx, fy, fz = axle_force(j, -tau[3 * leg], -tau[3 * leg + 1], -tau[3 * leg + 2])
-            contact[leg] = fx * nx + fy * ny + fz * nz > CONTACT_FORCE
-        if not contact[leg]:
-            continue
+            if not fx * nx + fy * ny + fz * nz > CONTACT_FORCE:
+                continue
         hip = q[3 * leg]
         uy, uz = math.cos(hip), math.sin(hip)  # axle
         along = ny * uy + nz * uz
@@ -98,17 +86,44 @@ def leg_velocity(
         wx, wy, wz = dq[3 * leg] + gyro[0], spin * uy + gyro[1], spin * uz + gyro[2]
         px, py, pz = centre[leg, 0], centre[leg, 1], centre[leg, 2]
         d0, d1, d2 = dq[3 * leg], dq[3 * leg + 1], dq[3 * leg + 2]
-        velocity[count, 0] = -(
+        velocity[leg, 0] = -(
             gyro[1] * pz - gyro[2] * py + j[0, 0] * d0 + j[0, 1] * d1 + j[0, 2] * d2 + wy * gz - wz * gy
         )
-        velocity[count, 1] = -(
+        velocity[leg, 1] = -(
             gyro[2] * px - gyro[0] * pz + j[1, 0] * d0 + j[1, 1] * d1 + j[1, 2] * d2 + wz * gx - wx * gz
         )
-        velocity[count, 2] = -(
+        velocity[leg, 2] = -(
             gyro[0] * py - gyro[1] * px + j[2, 0] * d0 + j[2, 1] * d1 + j[2, 2] * d2 + wx * gy - wy * gx
         )
-        height -= nx * (px + gx) + ny * (py + gy) + nz * (pz + gz)
-        count += 1
+        height[leg] = -(nx * (px + gx) + ny * (py + gy) + nz * (pz + gz))
+
+
+@njit(cache=True)
+def leg_velocity(
+    q: Array,
+    dq: Array,
+    tau: Array,
+    gyro: Array,
+    noise: Array,
+    out: Array,
+    sigma: Array,
+    contact: NDArray[np.bool_],
+) -> float:
+    """Velocity of base_link [m/s], base_link axes, into `out` (3,), its standard deviation into `sigma` (3,), contact into (4,).
+
+    `q`, `dq`, `tau`, `gyro`: see `wheel_velocities`; `noise` (3,): standard deviation without slip. Returns base_link's
+    height above the plane under the wheels [m]; NaN (and infinite sigma) when no wheel touches.
+    """
+    each, heights = np.empty((4, 3)), np.empty(4)
+    wheel_velocities(q, dq, tau, gyro, each, heights)
+    count = 0
+    height = 0.0
+    for leg in range(4):
+        contact[leg] = not math.isnan(heights[leg])
+        if contact[leg]:
+            each[count] = each[leg]
+            height += heights[leg]
+            count += 1
     if count == 0:
         out[:] = 0.0
         sigma[:] = np.inf
@@ -116,11 +131,11 @@ def leg_velocity(
     for k in range(3):
         mean = 0.0
         for i in range(count):
-            mean += velocity[i, k]
+            mean += each[i, k]
         mean /= count
         spread = 0.0
         for i in range(count):
-            spread += (velocity[i, k] - mean) ** 2
+            spread += (each[i, k] - mean) ** 2
         out[k] = mean
         # Fewer wheels: less to average and more likely to slip.
         sigma[k] = math.sqrt(noise[k] * noise[k] * 4.0 / count + LASTS[k] * spread / count)
@@ -169,3 +184,17 @@ def velocities(
         out[row, 1] += gyro[2] * lever[0] - gyro[0] * lever[2]
         out[row, 2] += gyro[0] * lever[1] - gyro[1] * lever[0]
     return out, sigma, height
+
+
+def ways_of_wheels(joints: Array, gyro: Array, seconds: float) -> Array:
+    """(4,) way ahead [m] that each wheel rolled in `seconds`, by joint samples (m, 48) and the mean turn rate `gyro` (3,)
+    without bias. A wheel that never touched has the mean of the others; NaN where none did."""
+    each, height = np.empty((len(joints), 4, 3)), np.empty(4)
+    for row, out in zip(joints, each, strict=True):
+        wheel_velocities(row[:16], row[16:32], row[32:], gyro, out, height)
+    ahead, touched = each[:, :, 0], np.isfinite(each[:, :, 0])
+    if not touched.any():
+        return np.full(4, np.nan)
+    total, count = np.where(touched, ahead, 0.0).sum(axis=0), touched.sum(axis=0)
+    mean = total.sum() / count.sum()
+    return np.where(count > 0, total / np.maximum(count, 1), mean) * seconds

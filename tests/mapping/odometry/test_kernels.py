@@ -16,7 +16,7 @@ from mapping.odometry.inertial_kernels import propagate, update_velocity
 from mapping.odometry.registration.observability import observed
 from mapping.odometry.registration.planes import PLANE, POINTS, VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
-from mapping.odometry.wheels import leg_velocity
+from mapping.odometry.wheels import leg_velocity, ways_of_wheels
 
 NOISE = np.array([1e-3, 3e-2, 2e-5, 5e-4])
 vectors = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
@@ -196,15 +196,32 @@ def test_wheels_that_disagree_count_less_and_in_height_a_hundred_times_so() -> N
         np.testing.assert_allclose(
             sigma, np.sqrt(0.05**2 + np.array([0.25, 0.25, 100.0]) * spread / 4), rtol=1e-4
         )
+        rows = np.tile(np.concatenate([STAND, dq, np.zeros(16)]), (3, 1))
+        np.testing.assert_allclose(ways_of_wheels(rows, np.zeros(3), 0.5), 0.5 * each[:, 0], atol=1e-5)
 
 
-def test_contact_follows_the_ground_force_seen_by_the_joints() -> None:
+def test_a_wheel_in_the_air_tells_no_way() -> None:
+    dq = joints_of(np.array([0.4, 0.0, 0.0]), np.zeros(3), STAND)
+    dq[14] += 20.0
+    row = np.concatenate([STAND, dq, loaded(48.0, 48.0, 2.0, 48.0)])
+    np.testing.assert_allclose(ways_of_wheels(row[None], np.zeros(3), 1.0), 0.4, atol=1e-5)
+    row[32:] = loaded(2.0, 2.0, 2.0, 2.0)
+    assert np.isnan(ways_of_wheels(row[None], np.zeros(3), 1.0)).all()
+
+
+def loaded(*forces: float) -> np.ndarray:
+    """(16,) torques [Nm] of wheels that carry `forces` [N]."""
     from hal.go2w import wheel_jacobians
 
     tau = np.zeros(16)
     jacobian = wheel_jacobians(STAND)
-    for leg, force in enumerate((48.0, 48.0, 2.0, 48.0)):
+    for leg, force in enumerate(forces):
         tau[3 * leg : 3 * leg + 3] = -jacobian[leg].T @ (0.0, 0.0, force)
+    return tau
+
+
+def test_contact_follows_the_ground_force_seen_by_the_joints() -> None:
+    tau = loaded(48.0, 48.0, 2.0, 48.0)
     out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
     leg_velocity(STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
     assert contact.tolist() == [True, True, False, True]

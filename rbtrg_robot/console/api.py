@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 LARGEST = 100_000
 """Bytes of a body: a mission of some hundred steps."""
-STATE = ("robot", "goal", "mission", "mission_order", "map", "pose", "route", "stop")
+STATE = ("robot", "goal", "mission", "mission_order", "map", "pose", "route", "areas", "stop")
 """Kinds of the page's frames that are kept while nobody looks."""
 ALIVE = 2.0
 """[s] between two signs of life on a stream of events."""
@@ -141,6 +141,22 @@ class Area(_Body):
     corners: list[tuple[float, float]] = Field(min_length=3, description="x, y [m] in frame `map`")
 
 
+class Drawn(_Body):
+    """An area that counts."""
+
+    name: str = Field(min_length=1, max_length=64)
+    keep_out: bool = Field(description="the robot stays out of it; else inside")
+    corners: list[tuple[float, float]] = Field(
+        min_length=3, max_length=100, description="x, y [m] in frame `map`"
+    )
+
+
+class Fence(_Body):
+    """All areas that count from now on, beside those of the configuration."""
+
+    areas: list[Drawn] = Field(max_length=50)
+
+
 class Keep(_Body):
     """Whether a run stays on the disk."""
 
@@ -176,6 +192,7 @@ CALLS = (
     Call("POST", "/api/explore", "See all ground of an area: a mission of its own.", Ground, wish="explore"),
     Call("POST", "/api/cover", "Drive over an area in lanes: a mission of its own.", Lanes, wish="cover"),
     Call("POST", "/api/mission", "Run a mission, or tell the one that is under way.", Mission, wish="mission"),
+    Call("POST", "/api/areas", "Where the robot stays in and keeps out of from now on. `areas` of GET /api/state tells.", Fence, wish="areas"),
     Call("POST", "/api/map", "Begin anew with a saved map.", MapName, wish="load map"),
     Call("POST", "/api/pose", "The robot stands there.", Pose, wish="set pose"),
     Call("POST", "/api/alive", "Go on operating: the lease ends after 2 s without a call.", Alive, wish="alive"),

@@ -1,4 +1,5 @@
-"""Areas that were drawn on the ground: files beside the runs, as `rbtrg-robot explore --area FILE` reads them."""
+"""Areas that were drawn on the ground: files beside the runs, as `rbtrg-robot explore --area FILE` reads them; and where
+the robot stays in and keeps out of."""
 
 from __future__ import annotations
 
@@ -16,9 +17,11 @@ from hal.errors import OperatorError
 from hal.regular import is_own
 from hal.safety.geofence import Geofence
 from rbtrg_robot import yaml_file
+from rbtrg_robot.areas import fence_of, ground_area
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.archive import NAME, body_of, operator
-from rbtrg_robot.console.desk import Refused
+from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
+from rbtrg_robot.orders.areas import SetAreas
 from rbtrg_robot.yaml_file import YamlError
 
 AREAS = "areas"
@@ -28,12 +31,25 @@ AREAS = "areas"
 class Areas:
     """The folder."""
 
-    def __init__(self, config: StackConfig) -> None:
+    def __init__(self, config: StackConfig, desk: Desk) -> None:
         self._folder = Path(config.log_dir).parent / AREAS
+        self._desk = desk
+        desk.wishes["areas"] = self._draw
 
     def routes(self) -> list[Route]:
         """Of the server."""
         return [Route("/areas", self._list), Route("/areas/{name}", self._save, methods=["POST"])]
+
+    async def _draw(self, _page: Page, wish: dict[str, Any]) -> Answer:
+        try:
+            areas = [
+                ground_area(str(row["name"])[:64], row["corners"], keep_out=row["keep_out"] is True)
+                for row in wish["areas"]
+            ]
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise Refused("an area has a name, keep_out, and corners x, y in metres") from error
+        fence_of(areas)
+        return answer(await self._desk.carry_out(SetAreas(areas)))
 
     def _read(self) -> list[dict[str, Any]]:
         """Name and corners x, y [m] in `map` of every file that holds an area."""

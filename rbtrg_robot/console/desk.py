@@ -88,7 +88,7 @@ class Desk:
 
     SENDS = (
         *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.TELEOP, t.MAP_REQUEST, t.ROUTE_QUESTION),
-        *(t.MISSION_REQUEST, t.PRESENCE, t.MAP_PRIOR, t.INITIAL_POSE),
+        *(t.MISSION_REQUEST, t.PRESENCE, t.MAP_PRIOR, t.INITIAL_POSE, t.AREAS_REQUEST),
     )
     HEARS = (
         *(
@@ -100,7 +100,7 @@ class Desk:
             t.MAP_STATUS,
             t.MISSION_STATE,
         ),
-        *(t.ODOM, t.TF_STATIC),
+        *(t.ODOM, t.TF_STATIC, t.AREAS),
     )
 
     def __init__(self, config: StackConfig, bus: Bus, feed: Feed, loop: asyncio.AbstractEventLoop) -> None:

@@ -57,7 +57,7 @@ HEARD: tuple[Topic, ...] = (
 ACTIVE = {state.value for state in GoalState if state.active}
 KEPT = (
     *(t.CAMERA_INFO, t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
-    *(t.MISSION_ORDER, t.MISSION_STATE, t.EVENTS),
+    *(t.MISSION_ORDER, t.MISSION_STATE, t.EVENTS, t.AREAS),
 )
 """Decoded while nobody looks, too: they come once, or orders need them."""
 

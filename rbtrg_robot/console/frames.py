@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import plain as plain_areas
 from rbtrg_robot.missions.file import describe
 from rbtrg_robot.missions.words import line
 from rbtrg_robot.orders.words import held, slowed
@@ -225,6 +226,7 @@ PLAIN: dict[Topic, tuple[str, Callable[[Any], dict[str, Any]]]] = {
     t.GOAL_STATUS: ("goal", goal),
     t.MISSION_STATE: ("mission", mission),
     t.MISSION_ORDER: ("mission_order", mission_order),
+    t.AREAS: ("areas", lambda message: {"areas": plain_areas(message.areas)}),
     t.ODOM_HEALTH: ("odometry", plain("health", "reason", "overlap", "inliers", "residual", "degeneracy")),
     t.MAP_STATUS: (
         "map",

@@ -4,8 +4,9 @@ import { $, button, figure, get, post, put } from "./tell.js";
 export function makeDraw(link, view, about, free) {
   const { world } = view;
   let mode = "", // "way", "area", or nothing
-    areas = [];
-  world.allowed = about.area;
+    areas = [],
+    before = []; // fences that were drawn earlier, for undo
+  const drawn = () => link.newest.areas?.areas ?? [];
   const least = () => (mode === "area" ? 3 : 1);
 
   function set(next) {
@@ -30,7 +31,10 @@ export function makeDraw(link, view, about, free) {
   function lock() {
     const few = (world.drawn?.points.length ?? 0) < least();
     $("draw-undo").disabled = $("draw-clear").disabled = !world.drawn?.points.length;
-    for (const id of ["draw-go", "draw-explore", "area-save"]) $(id).disabled = few || !free.may();
+    for (const id of ["draw-go", "draw-explore", "area-save", "area-out", "area-in"])
+      $(id).disabled = few || !free.may();
+    for (const made of document.querySelectorAll("#fence button")) made.disabled = !free.may();
+    $("fence-undo").disabled ||= !before.length;
   }
   // Whether a press on the ground meant this.
   function pick(x, y, yaw) {
@@ -66,6 +70,47 @@ export function makeDraw(link, view, about, free) {
     send({ do: "mission", what: "run", mission: { name: "drawn way", steps: world.drawn.points.map(goto) } });
   };
   $("draw-explore").onclick = () => send({ do: "explore", area: corners() });
+  // What counts from now on.
+  async function enclose(next, undone = false) {
+    const was = drawn();
+    const answer = await free.tell({ do: "areas", areas: next });
+    put("draw-said", answer.words);
+    if (!answer.ok) return;
+    if (undone) before.pop();
+    else before.push(was);
+    $("draw-clear").click();
+    fence();
+  }
+  for (const [id, keep_out] of [
+    ["area-out", true],
+    ["area-in", false],
+  ])
+    $(id).onclick = () => {
+      const names = drawn().map(({ name }) => name);
+      let name = $("area-name").value.trim(),
+        k = 1;
+      while (!name || names.includes(name)) name = `${keep_out ? "no-go" : "inside"} ${k++}`;
+      enclose([...drawn(), { name, keep_out, corners: corners() }]);
+    };
+  $("fence-undo").onclick = () => enclose(before.at(-1), true);
+  function fence() {
+    world.fence = [
+      ...(about.area ? [{ keep_out: false, name: "", corners: about.area }] : []),
+      ...Object.entries(about.keepout).map(([name, corners]) => ({ keep_out: true, name, corners })),
+      ...drawn(),
+    ];
+    $("fence").hidden = !drawn().length && !before.length;
+    $("fence-list").replaceChildren(
+      ...drawn().map(({ name, keep_out }) =>
+        button(`Remove ${keep_out ? "no-go" : "inside"}: ${name}`, () =>
+          enclose(drawn().filter((other) => other.name !== name)),
+        ),
+      ),
+    );
+    lock();
+    view.show();
+  }
+  link.on("areas", fence);
   $("area-form").onsubmit = async (event) => {
     event.preventDefault();
     const answer = await post(`/areas/${encodeURIComponent($("area-name").value)}`, { corners: corners() }).catch(
@@ -95,24 +140,27 @@ export function makeDraw(link, view, about, free) {
     else set("");
   };
 
-  // How far a place is outside of the allowed area [m], in words; empty where it is inside or none is set.
+  // How far a place is where the robot may not be [m], in words; empty where it may.
   function outside(x, y) {
-    const ring = about.area;
-    if (!ring) return "";
-    let inside = false,
-      away = Infinity;
-    ring.forEach(([bx, by], k) => {
-      const [ax, ay] = ring.at(k - 1);
-      if (by > y !== ay > y && x < ax + ((y - ay) * (bx - ax)) / (by - ay)) inside = !inside;
-      const t = Math.max(
-        0,
-        Math.min(1, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2)),
-      );
-      away = Math.min(away, Math.hypot(x - ax - t * (bx - ax), y - ay - t * (by - ay)));
-    });
-    return inside ? "" : `${figure(away, 1)} m outside of the allowed area`;
+    for (const { keep_out, name, corners: ring } of world.fence) {
+      let inside = false,
+        away = Infinity;
+      ring.forEach(([bx, by], k) => {
+        const [ax, ay] = ring.at(k - 1);
+        if (by > y !== ay > y && x < ax + ((y - ay) * (bx - ax)) / (by - ay)) inside = !inside;
+        const t = Math.max(
+          0,
+          Math.min(1, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2)),
+        );
+        away = Math.min(away, Math.hypot(x - ax - t * (bx - ax), y - ay - t * (by - ay)));
+      });
+      if (inside === keep_out)
+        return `${figure(away, 1)} m ${keep_out ? "inside of the keep-out area" : "outside of the allowed area"} ${name}`;
+    }
+    return "";
   }
   link.on("beat", lock);
   set("");
+  fence();
   return { pick };
 }

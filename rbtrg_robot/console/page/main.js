@@ -119,6 +119,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
       "goal",
       "mission",
       "mission_order",
+      "areas",
       "odometry",
       "map",
       "limits",

@@ -661,7 +661,7 @@ def test_places_that_are_drawn_are_driven_and_an_area_is_saved_and_explored(
     visit: Callable[..., Page], robot: Robot, console: Console
 ) -> None:
     page = visit()
-    assert page.evaluate("consoleView.world.allowed.length") >= 3
+    assert page.evaluate("consoleView.world.fence[0].corners.length") >= 3
     page.click("#follow")
     page.click("#draw summary")
     page.click("#draw-way")
@@ -696,7 +696,23 @@ def test_places_that_are_drawn_are_driven_and_an_area_is_saved_and_explored(
     assert [tuple(corner) for corner in corners] == [
         pytest.approx(corner, abs=0.1) for corner in ((0.5, -0.5), (2.5, -0.5), (2.5, 1.0))
     ]
-    page.click("#draw-clear")
+    page.click("#area-out")
+    until(page, "consoleView.world.fence.at(-1).keep_out")
+    until(page, "document.querySelector('#draw-hint').textContent.includes('Tap its corners')")
+    page.click("#draw-way")
+    page.mouse.click(*on_screen(page, 2.2, -0.2))
+    assert "inside of the keep-out area ramp" in page.inner_text("#draw-said")
+    page.click("#draw-area")
+    for x, y in ((-0.5, -1.0), (3.0, -1.0), (3.0, 1.5), (-0.5, 1.5)):
+        page.mouse.click(*on_screen(page, x, y))
+    page.click("#area-in")
+    until(page, "consoleView.world.fence.length === 3 && !consoleView.world.fence.at(-1).keep_out")
+    page.click("#fence-undo")
+    until(page, "consoleView.world.fence.length === 2")
+    page.click("#fence-list button")
+    until(page, "consoleView.world.fence.length === 1")
+    page.click("#fence-undo")
+    until(page, "consoleView.world.fence.at(-1).name === 'ramp'")
     page.click("#area-list button")
     page.click("#draw-explore")
     until(page, "consoleView.world.mission?.steps[0].step === 'explore'")

@@ -85,7 +85,14 @@ class Robot:
         self.bus.subscribe(
             [
                 *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.MAP_REQUEST, t.TELEOP, t.ROUTE_QUESTION),
-                *(t.MISSION_REQUEST, t.PRESENCE, t.INITIAL_POSE, t.MAP_PRIOR, t.CAMERA_REQUEST),
+                *(
+                    t.MISSION_REQUEST,
+                    t.PRESENCE,
+                    t.INITIAL_POSE,
+                    t.MAP_PRIOR,
+                    t.CAMERA_REQUEST,
+                    t.AREAS_REQUEST,
+                ),
             ]
         )
         self.status = b"{}"
@@ -102,7 +109,7 @@ class Robot:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
         told = (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
-        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE, t.CAMERA, t.CAMERA_INFO):
+        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE, t.CAMERA, t.CAMERA_INFO, t.AREAS):
             self.bus.advertise(topic)
         camera = CameraConfig().mounted()
         assert camera is not None
@@ -217,6 +224,8 @@ class Robot:
             self.alike = []
         elif topic is t.MAP_PRIOR:
             self.prior, self.epoch = message.id, self.epoch + (message.id != self.prior)
+        elif topic is t.AREAS_REQUEST:
+            self.bus.publish(t.AREAS, message, 1)
         elif topic is t.PRESENCE:
             self.present += 1
         elif topic is t.ROUTE_QUESTION:

@@ -128,7 +128,12 @@ export function makeFlat(canvas, world, ground, camera) {
           false,
         );
     }
-    if (world.allowed) path([...world.allowed, world.allowed[0]], 3, COLOUR.allowed);
+    for (const { keep_out, corners } of world.fence) {
+      path([...corners, corners[0]], 3, keep_out ? COLOUR.worst : COLOUR.allowed);
+      if (!keep_out) continue;
+      context.fillStyle = css([...COLOUR.worst.slice(0, 3), 60]);
+      context.fill();
+    }
     if (world.drawn?.points.length) {
       const { mode, points } = world.drawn;
       const ring = points.map(({ x, y }) => [x, y]);

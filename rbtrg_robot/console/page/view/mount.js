@@ -22,7 +22,7 @@ export function mount(element, options) {
     candidates: null,
     arc: null,
     mark: null,
-    allowed: null, // corners [x, y] of the area that the robot stays in
+    fence: [], // { keep_out, corners [x, y] }: what the robot stays in and keeps out of
     drawn: null, // { mode, points } on the way to be sent
     cloud: null,
     graph: null,

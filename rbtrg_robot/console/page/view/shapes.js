@@ -162,7 +162,8 @@ export function build(world, ground, camera) {
       points.map((p) => p[0]),
       points.map((p) => p[1]),
     ).map(([x, y]) => [x, y, onGround(x, y, base)]);
-  if (world.allowed) shapes.ribbon(lay([...world.allowed, world.allowed[0]]), 0.07, COLOUR.allowed);
+  for (const { keep_out, corners } of world.fence)
+    shapes.ribbon(lay([...corners, corners[0]]), keep_out ? 0.12 : 0.07, keep_out ? COLOUR.worst : COLOUR.allowed);
   if (world.drawn?.points.length) {
     const { mode, points } = world.drawn;
     const ring = points.map(({ x, y }) => [x, y]);

@@ -100,6 +100,8 @@ WHEELS         = Topic("/wheels/odom",           msg.Odometry,          0, Qos.S
 CAMERA         = Topic("/camera/front/image/compressed", msg.CompressedImage, 0, Qos.SENSOR, 1, "camera", "JPEG, frame camera_front, stamped at the exposure; while somebody looks, and once a second while it is recorded", recorded="full standard", thinned=True)
 CAMERA_INFO    = Topic("/camera/front/camera_info", msg.CameraInfo,    0, Qos.LATCHED,   1, "camera",    "its intrinsics", recorded="full standard")
 CAMERA_REQUEST = Topic("/camera/request",        msg.String,           0, Qos.STATE,     1, "",          "somebody looks: frames for the next 2 s", recorded="")
+PHOTO          = Topic("/camera/front/photo",    msg.CompressedImage,  0, Qos.STATE,     4, "camera",    "a frame that a mission or a person wanted kept")
+PHOTO_REQUEST  = Topic("/camera/front/photo/request", msg.String,      0, Qos.STATE,     2, "",          "the next frame is kept as a photo", publish_by=Role.OPERATOR)
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
 TOUCHED        = Topic("/robot/touched",         msg.PoseStamped,      0, Qos.STATE,     8, "robot",     "what the robot touched and the map does not explain: its place in `map`, along the motion, at the height of base_link")
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)

@@ -246,6 +246,29 @@ def log_film(
     draw(file, out)
 
 
+@log_app.command("photos")
+def log_photos(
+    file: LogFile,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for them; default: `photos` beside the log.")
+    ] = None,
+) -> None:
+    """Write the photos of a run as JPEG files; their names are the times of exposure [ns]."""
+    from rbtrg_robot.log.photos import save
+    from rbtrg_robot.log.read import LogError
+
+    folder = out or (file if file.is_dir() else file.parent) / "photos"
+    try:
+        written = save(file, folder)
+    except OSError as error:
+        raise LogError(f"cannot write into {folder}: {error.strerror}; --out names another folder") from error
+    say(
+        f"{len(written)} photos -> {folder}"
+        if written
+        else "no photo was taken: a mission step `photo` takes one"
+    )
+
+
 @log_app.command("list")
 def log_list(
     base: Annotated[Path, typer.Argument(help="Folder of the runs.")] = Path("logs"), as_json: Json = False

@@ -188,6 +188,7 @@ CALLS = (
     Call("POST", "/api/cancel", "Cancel the goal.", Nothing, wish="cancel"),
     Call("POST", "/api/resume", "Release the stop.", Nothing, wish="resume"),
     Call("POST", "/api/posture", "Stand, sit, damp or recover.", Stance, wish="posture"),
+    Call("POST", "/api/photo", "Keep the next frame of the camera as a photo in the log.", Nothing, wish="photo"),
     Call("POST", "/api/home", "Drive home.", Nothing, wish="home"),
     Call("POST", "/api/explore", "See all ground of an area: a mission of its own.", Ground, wish="explore"),
     Call("POST", "/api/cover", "Drive over an area in lanes: a mission of its own.", Lanes, wish="cover"),
@@ -208,6 +209,8 @@ CALLS = (
     Call("GET", "/runs", "The runs on the disk, the newest first."),
     Call("GET", "/runs/{run}", "What one holds."),
     Call("POST", "/runs/{run}/keep", "Keep it, or not.", Keep),
+    Call("GET", "/runs/{run}/photos", "Its photos: name, and time of exposure [s]."),
+    Call("GET", "/runs/{run}/photos/{photo}", "One of them.", media="image/jpeg"),
     Call("GET", "/runs/{run}/{file}", "A file of it.", media="application/octet-stream"),
 )  # fmt: skip
 """Everything a program may ask for."""

@@ -20,6 +20,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Refused
 from rbtrg_robot.console.door import WHO
 from rbtrg_robot.log.keep import Run, mark, runs
+from rbtrg_robot.log.photos import photos
 from rbtrg_robot.log.summary import overview
 from rbtrg_robot.topics import Role
 
@@ -43,6 +44,8 @@ class Archive:
             Route("/runs", self._runs),
             Route("/runs/{run}", self._run),
             Route("/runs/{run}/keep", self._keep, methods=["POST"]),
+            Route("/runs/{run}/photos", self._photos),
+            Route("/runs/{run}/photos/{photo}", self._photo),
             Route("/runs/{run}/{file}", self._download),
         ]
 
@@ -85,6 +88,28 @@ class Archive:
             "unfinished": summary.unfinished,
         }
         return JSONResponse(about)
+
+    async def _photos(self, request: Request) -> Response:
+        try:
+            found = await run_in_threadpool(
+                lambda: [(p.name, p.stamp) for p in photos(self._folder(request))]
+            )
+        except OperatorError as error:
+            return JSONResponse({"words": str(error)}, 404)
+        return JSONResponse([{"name": name, "stamp": stamp / 1e9} for name, stamp in found])
+
+    async def _photo(self, request: Request) -> Response:
+        def wanted() -> bytes | None:
+            name = request.path_params["photo"]
+            return next((p.jpeg for p in photos(self._folder(request)) if p.name == name), None)
+
+        try:
+            jpeg = await run_in_threadpool(wanted)
+        except OperatorError as error:
+            return JSONResponse({"words": str(error)}, 404)
+        if jpeg is None:
+            return JSONResponse({"words": "there is no such photo"}, 404)
+        return Response(jpeg, media_type="image/jpeg")
 
     async def _keep(self, request: Request) -> Response:
         try:

@@ -23,6 +23,7 @@ from rbtrg_robot.console.lease import Lease
 from rbtrg_robot.orders.goal import AskRoute, CancelGoal, SendGoal
 from rbtrg_robot.orders.limits import USE_HARDWARE
 from rbtrg_robot.orders.order import Order, Outcome, send
+from rbtrg_robot.orders.photo import TakePhoto
 from rbtrg_robot.orders.robot import POSTURES, Posture, Resume, Stop
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, goal_request
@@ -39,7 +40,7 @@ PRESENCE = 1.0
 """[s] between two signs that an operator watches."""
 LOGS = ("replay", "pause replay", "live", "rerun")
 """Wishes that concern logs alone: from pages that show a replay, too."""
-FREE = ("ask", *LOGS)
+FREE = ("ask", "photo", *LOGS)
 """Wishes of pages that do not operate."""
 RELEASED = 0.5
 """[s] after a confirmation: a state without a stop is a newer one."""
@@ -88,7 +89,7 @@ class Desk:
 
     SENDS = (
         *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.TELEOP, t.MAP_REQUEST, t.ROUTE_QUESTION),
-        *(t.MISSION_REQUEST, t.PRESENCE, t.MAP_PRIOR, t.INITIAL_POSE, t.AREAS_REQUEST),
+        *(t.MISSION_REQUEST, t.PRESENCE, t.MAP_PRIOR, t.INITIAL_POSE, t.AREAS_REQUEST, t.PHOTO_REQUEST),
     )
     HEARS = (
         *(
@@ -100,7 +101,7 @@ class Desk:
             t.MAP_STATUS,
             t.MISSION_STATE,
         ),
-        *(t.ODOM, t.TF_STATIC, t.AREAS),
+        *(t.ODOM, t.TF_STATIC, t.AREAS, t.PHOTO),
     )
 
     def __init__(self, config: StackConfig, bus: Bus, feed: Feed, loop: asyncio.AbstractEventLoop) -> None:
@@ -122,6 +123,7 @@ class Desk:
             "resume": self._resume,
             "posture": self._posture,
             "ask": self._ask,
+            "photo": self._photo,
         }
         """What pages may ask for; others add theirs."""
         self._present = self._confirmed = -math.inf
@@ -303,6 +305,9 @@ class Desk:
 
         outcome = await self.carry_out(order)
         return outcome.ok, outcome.words, None if order.report is None else route(order.report)
+
+    async def _photo(self, page: Page, _wish: dict[str, Any]) -> Answer:
+        return answer(await self.carry_out(TakePhoto(self.owner(page))))
 
     def _drive(self, page: Page, wish: dict[str, Any]) -> None:
         try:

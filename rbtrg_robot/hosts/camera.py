@@ -101,10 +101,10 @@ def main(
             heart.beat(detail="no camera: camera.source is off")
             bus.take(0.1)
         return
-    for topic in (t.CAMERA, t.CAMERA_INFO):
+    for topic in (t.CAMERA, t.CAMERA_INFO, t.PHOTO):
         bus.advertise(topic)
     rendered = config.simulated and config.camera.source == "robot"
-    bus.subscribe((t.CAMERA_REQUEST, *HEARS, *((t.TRUTH, t.JOINTS) if rendered else ())))
+    bus.subscribe((t.CAMERA_REQUEST, t.PHOTO_REQUEST, *HEARS, *((t.TRUTH, t.JOINTS) if rendered else ())))
     bus.publish(t.CAMERA_INFO, info_msg(camera, 0), 0)
     desk = Desk(config, camera)
     try:
@@ -116,7 +116,10 @@ def main(
                     desk.take(received.topic, message, time.monotonic())
             frame = desk.frame(time.monotonic(), bus.clock())
             if frame is not None:
-                bus.publish(t.CAMERA, image_msg(camera, frame), frame.stamp)
+                image = image_msg(camera, frame)
+                bus.publish(t.CAMERA, image, frame.stamp)
+                if desk.keeps():
+                    bus.publish(t.PHOTO, image, frame.stamp)
     finally:
         desk.close()
 
@@ -128,6 +131,8 @@ class Desk:
         self._config, self._camera = config, camera
         self._demand = Demand(camera.rate, config.record, config.camera.always)
         self._moments = Moments()
+        self._kept = False
+        """Somebody wants the next frame kept."""
         self._source: Any = None
         self._retry = -math.inf
         self.trouble = ""
@@ -136,6 +141,9 @@ class Desk:
     def take(self, topic: Topic, message: Any, now: float) -> None:
         """A message, at `now` [s]."""
         if topic is t.CAMERA_REQUEST:
+            self._demand.looked_at(now)
+        elif topic is t.PHOTO_REQUEST:
+            self._kept = True
             self._demand.looked_at(now)
         elif topic in HEARS:
             if self._moments.begins(topic, message):
@@ -167,6 +175,11 @@ class Desk:
         if frame is not None:
             self._demand.cost = time.process_time() - began
         return frame
+
+    def keeps(self) -> bool:
+        """Whether the frame that just came is a photo."""
+        kept, self._kept = self._kept, False
+        return kept
 
     def close(self) -> None:
         """Release the source."""

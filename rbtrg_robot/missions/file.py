@@ -65,6 +65,10 @@ class Home(_Model):
     yaw_deg: float = Field(0.0, description="[deg]")
 
 
+class Nothing(_Model):
+    """No fields."""
+
+
 class Question(_Model):
     """What an operator must answer."""
 
@@ -195,6 +199,12 @@ class Record(_Step):
     record: Mark
 
 
+class Photo(_Step):
+    """Take a photo, with an id or an `on_failure` of its own; otherwise `photo` is enough."""
+
+    photo: Nothing
+
+
 class Posture(_Step):
     """Stand up or sit down, with an id or an `on_failure` of its own; otherwise `stand` and `sit` are enough."""
 
@@ -224,9 +234,22 @@ def _kind(value: Any) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-TAGS = ("word", "goto", "home", "explore", "cover", "wait", "ask", "look", "record", "posture", "loop")
+TAGS = (
+    "word",
+    "goto",
+    "home",
+    "explore",
+    "cover",
+    "wait",
+    "ask",
+    "look",
+    "record",
+    "photo",
+    "posture",
+    "loop",
+)
 Step = Annotated[
-    Annotated[Literal["stand", "sit", "home"], Tag("word")]
+    Annotated[Literal["stand", "sit", "home", "photo"], Tag("word")]
     | Annotated[Goto, Tag("goto")]
     | Annotated[GoHome, Tag("home")]
     | Annotated[Explore, Tag("explore")]
@@ -235,12 +258,13 @@ Step = Annotated[
     | Annotated[Ask, Tag("ask")]
     | Annotated[Look, Tag("look")]
     | Annotated[Record, Tag("record")]
+    | Annotated[Photo, Tag("photo")]
     | Annotated[Posture, Tag("posture")]
     | Annotated[Loop, Tag("loop")],
     Discriminator(
         _kind,
         custom_error_type="step",
-        custom_error_message="a step is one of stand, sit, home, explore, cover, goto, wait, ask, look, record, posture, loop",
+        custom_error_message="a step is one of stand, sit, home, explore, cover, goto, wait, ask, look, record, photo, posture, loop",
     ),
 ]
 Rounds.model_rebuild()
@@ -316,7 +340,8 @@ class MissionFile(_Model):
 
     def _step(self, node: Any, number: int) -> msg.MissionStep:
         if isinstance(node, str):
-            node = GoHome(home=Limits()) if node == "home" else Posture(posture=node)  # type: ignore[arg-type]
+            plain = {"home": GoHome(home=Limits()), "photo": Photo(photo=Nothing())}
+            node = plain.get(node) or Posture(posture=node)  # type: ignore[arg-type]
         kind = node.posture if isinstance(node, Posture) else _kind(node)
         policy, _, retries = (node.on_failure or self.on_failure).partition(" ")
         return msg.MissionStep(

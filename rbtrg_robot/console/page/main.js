@@ -77,7 +77,7 @@ put("name", about.robot);
 document.title = `${about.robot} console`;
 
 makeMeasure(view);
-picture = makePicture(link, view, about);
+picture = makePicture(link, view, about, free);
 if (!$("hint").textContent) picture.hint();
 why = makeWhy(link, view);
 drive = makeDrive(link, view, about, free);

@@ -10,10 +10,10 @@ const NOTES = {
   [AGE]: "grey: not known when",
 };
 
-export function makePicture(link, view, about) {
+export function makePicture(link, view, about, free) {
   const small = matchMedia("(max-width: 860px)").matches;
   let ready = false;
-  const video = makeVideo(link, about, see);
+  const video = makeVideo(link, about, free, see);
 
   function hint(words) {
     put(

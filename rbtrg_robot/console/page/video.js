@@ -9,7 +9,7 @@ const NEAR = 0.05; // metres before the lens
 const STRIDE = 0.4; // metres between two outlines of the body on the way
 const text = new TextDecoder();
 
-export function makeVideo(link, about, see) {
+export function makeVideo(link, about, free, see) {
   const canvas = $("video-picture"),
     pen = canvas.getContext("2d");
   let mode = 0,
@@ -67,6 +67,7 @@ export function makeVideo(link, about, see) {
     link.download = `${about.robot}-${shown.facts.stamp.toFixed(3)}.jpg`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    if (free.may()) free.tell({ do: "photo" }); // and the next frame in the log
   };
 
   // From `map` [m] to pixels, through the pose of the robot; null behind the lens.

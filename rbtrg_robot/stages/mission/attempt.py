@@ -23,12 +23,15 @@ POSTURE_LIMIT = 30.0
 POSTURE_REPEAT = NS // 5
 SETTLE = NS
 """After this long [ns] the robot's state is an answer to the order and not of before."""
+PHOTO_LIMIT, PHOTO_REPEAT = 30.0, 2 * NS
+"""[s] for a photo, and [ns] from one request to the next: a camera that nobody looked at loads with the first."""
 POSTURES = {Kind.STAND: UP, Kind.SIT: (RobotPhase.SITTING,)}
 """Phases of the robot in which the step is done."""
 OF_THE_STEP = frozenset(
     {
         Reason.INVALID,
         Reason.OUTSIDE,
+        Reason.KEPT_OUT,
         Reason.IN_OBSTACLE,
         Reason.START_OFF_GRAPH,
         Reason.NO_ROUTE,
@@ -73,12 +76,17 @@ class Attempt:
         self._began = now
         self._goal_id = goal_id
         self._heard = now
-        self._ordered = now - POSTURE_REPEAT
+        self._ordered = now - PHOTO_REPEAT
+        self.photo = 0
+        """Stamp of the newest photo [ns]."""
         self.answer = ""
         """What the operator answered."""
 
     def orders(self, now: int) -> Outputs:
-        """What to tell the robot."""
+        """What to tell the robot and its camera."""
+        if self._kind is Kind.PHOTO and now - self._ordered >= PHOTO_REPEAT:
+            self._ordered = now
+            return [(t.PHOTO_REQUEST, msg.String(data=self._step.id))]
         if self._kind not in POSTURES or now - self._ordered < POSTURE_REPEAT:
             return []
         self._ordered = now
@@ -94,6 +102,9 @@ class Attempt:
             return self._of_answer(age)
         if self._kind in POSTURES:
             return self._of_posture(age, robot)
+        if self._kind is Kind.PHOTO and self.photo <= self._began:
+            late = f"no photo within {PHOTO_LIMIT:.0f} s: the camera gives no picture"
+            return Verdict(Outcome.FAILED, late) if age > PHOTO_LIMIT else RUNNING
         return DONE if age >= self._step.duration else RUNNING
 
     def _of_goal(self, now: int, goal: msg.GoalStatus | None) -> Verdict:

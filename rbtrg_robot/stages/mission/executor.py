@@ -32,7 +32,7 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.messages import header, stamp_of
 
 KNOWN = 1000
 """Requests whose ids are remembered: a late repeat must not do anything."""
@@ -58,8 +58,12 @@ class MissionStage:
         t.ODOM,
         t.TF_STATIC,
         t.VIEWPOINTS,
+        t.PHOTO,
     )
-    outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND, t.EXPLORE_QUESTION)
+    outputs = (
+        *(t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND, t.EXPLORE_QUESTION),
+        t.PHOTO_REQUEST,
+    )
 
     def __init__(
         self,
@@ -114,6 +118,9 @@ class MissionStage:
             return []
         elif t.VIEWPOINTS.carried(message, topic):
             world.views = message
+            return []
+        elif t.PHOTO.carried(message, topic):
+            world.photo = stamp_of(message)
             return []
         elif t.PRESENCE.carried(message, topic):
             world.contact = world.now
@@ -338,5 +345,8 @@ def _returns(order: msg.MissionOrder) -> bool:
 def build(config: StackConfig) -> MissionStage:
     """From the stack's configuration."""
     recorded = config.record and "recorder" not in config.without
-    possible = EVERYWHERE | ({Kind.RECORD} if recorded else frozenset())
+    sees = config.camera.mounted() is not None and "camera" not in config.without
+    possible = (
+        EVERYWHERE | ({Kind.RECORD} if recorded else set()) | ({Kind.PHOTO} if recorded and sees else set())
+    )
     return MissionStage(possible, fingerprint(config.map_file), config.gate.min_battery, config.comms)

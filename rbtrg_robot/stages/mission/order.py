@@ -27,6 +27,7 @@ class Kind(StrEnum):
     SIT = "sit"
     LOOK = "look"
     RECORD = "record"
+    PHOTO = "photo"
 
 
 class OnFailure(StrEnum):
@@ -71,6 +72,7 @@ EVERYWHERE = frozenset(
 WHY_NOT = {
     Kind.LOOK: "the robot process does not turn the body yet",
     Kind.RECORD: "the stack was started without a recorder",
+    Kind.PHOTO: "the stack was started without a camera, or without a recorder that keeps it",
 }
 """Why a step of this kind cannot be done here."""
 

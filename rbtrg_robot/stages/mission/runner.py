@@ -44,6 +44,8 @@ class World:
     """Likewise: the way home along what was driven."""
     displaced: str = ""
     """Id of somebody's goal that a mission took the place of."""
+    photo: int = 0
+    """Stamp of the newest photo [ns]."""
     views: msg.Viewpoints | None = None
     """The planner's newest answer to a robot that explores."""
 
@@ -141,6 +143,7 @@ class Runner:
         if isinstance(self._attempt, Exploration | Coverage):
             orders, verdict = self._roam(mission, self._attempt)
         else:
+            self._attempt.photo = self._world.photo
             orders = self._attempt.orders(now)
             verdict = self._attempt.verdict(now, self._world.goal, self._world.robot)
         if verdict.outcome is Outcome.DONE:

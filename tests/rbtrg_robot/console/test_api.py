@@ -8,19 +8,25 @@ import http.server
 import json
 import math
 import threading
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hal.types import NS
 from rbtrg_robot import msg
+from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.console.api import CALLS, LARGEST, ORDERS
 from rbtrg_robot.console.desk import ONLY_SEE, TAKEN, Page
 from rbtrg_robot.console.feed import Slots
 from rbtrg_robot.console.webhooks import hooks
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.topics import Role
+from rbtrg_robot.wire.messages import encode, header
 from tests.places import extension
 from tests.rbtrg_robot.strangers import until
 from tools.bench.console.stack import Console
@@ -116,6 +122,26 @@ def test_a_program_runs_missions_and_comes_home(console: Console, robot: Program
     assert robot.call("/api/mission", {"what": "stop"})["ok"]
     assert robot.call("/api/home", {})["ok"]
     assert math.hypot(console.robot.goals[-1].x, console.robot.goals[-1].y) < 0.1
+
+
+def test_a_program_draws_areas_and_keeps_photos(console: Console, robot: Program) -> None:
+    pond = {"name": "pond", "keep_out": True, "corners": [[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]]}
+    assert robot.call("/api/areas", {"areas": [pond]})["words"] == "1 keep-out and 0 allowed areas are drawn"
+    assert robot.call("/api/state")["areas"] == {"areas": [pond]}
+    flat = pond | {"corners": [[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]]}
+    status, answer = robot.post("/api/areas", json.dumps({"areas": [flat]}).encode())
+    assert (status, answer["words"]) == (409, "the geofence has no area")
+    assert robot.call("/api/areas", {"areas": []})["ok"]
+    assert robot.call("/api/photo", {})["words"].endswith(".jpg is in the log")
+    folder = Path(console.config.log_dir).parent / "shots"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").touch()
+    with LogWriter(folder / "log_0.mcap", {}) as writer:
+        photo = msg.CompressedImage(header=header(5 * NS, ""), data=np.arange(3, dtype=np.uint8))
+        writer.write(t.PHOTO, encode(photo), 1, 1, 1)
+    assert robot.call("/runs/shots/photos") == [{"name": f"{5 * NS}.jpg", "stamp": 5.0}]
+    path = f"{robot.robot.base}/runs/shots/photos/{5 * NS}.jpg"
+    assert robot.robot.http.open(path).read() == bytes([0, 1, 2])
 
 
 def test_a_picture_of_now(robot: Program) -> None:
@@ -217,6 +243,7 @@ def test_an_observer_may_look_and_stop(console: Console) -> None:
     bodies = {"/api/goal": b'{"x":1,"y":1}', "/api/ask": b'{"x":1,"y":1}', "/api/posture": b'{"what":"sit"}'}
     bodies |= {"/api/pose": b'{"x":1,"y":1,"yaw":0}', "/api/map": b'{"file":"a.npz"}'}
     bodies |= {"/api/mission": b'{"what":"pause"}', "/api/cover": b'{"area":[[0,0],[4,0],[4,4]]}'}
+    bodies |= {"/api/areas": b'{"areas":[]}'}
     for path in ORDERS:
         status, answer = robot.post(path, bodies.get(path, b"{}"))
         assert (status, answer["words"]) == (403, ONLY_SEE), path

@@ -937,6 +937,7 @@ def test_the_camera_is_shown_with_the_route_in_it_and_kept_as_a_photo(
         page.click("#photo")
     assert kept.value.suggested_filename.endswith(".jpg")
     assert Path(kept.value.path()).read_bytes().startswith(b"\xff\xd8")
+    soon(page, lambda: robot.photos > 0)
     page.keyboard.press("v")
     until(page, "document.body.dataset.video === 'behind'")
     for name in ("#halt", "#video-mode"):  # nothing lies over them

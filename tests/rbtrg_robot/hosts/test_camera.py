@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +18,8 @@ from rbtrg_robot.hosts import camera as module
 from rbtrg_robot.hosts import robot as robot_host
 from rbtrg_robot.hosts.camera import RETRY, Demand, Desk, image_msg, info_msg, source_of
 from rbtrg_robot.log.moments import AROUND, Moments, Thinned
+from rbtrg_robot.log.photos import photos, save
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.wire.messages import decode, encode, stamp_of
 
 
@@ -153,3 +156,36 @@ def test_what_is_thinned_is_whole_around_a_moment() -> None:
     assert all(thinned.take(k, k + late) for k, late in enumerate(jitter)), (
         "one a second comes not every second time"
     )
+
+
+def test_who_wants_a_photo_gets_the_next_frame_and_the_log_gives_it_back(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    source = Source()
+    source.broken = False
+    monkeypatch.setattr(module, "source_of", lambda _config, _camera: source)
+    config = load(None, [], scene="flat", record=False)
+    camera = config.camera.mounted()
+    assert camera is not None
+    desk = Desk(config, camera)
+    desk.take(t.CAMERA_REQUEST, msg.String(), 0.0)
+    assert desk.frame(0.0, 1) is not None
+    assert not desk.keeps()
+    desk.take(t.PHOTO_REQUEST, msg.String(), 10.0)
+    frame = desk.frame(10.0, 2)
+    assert frame is not None
+    assert desk.keeps()
+    assert not desk.keeps()
+    with LogWriter(tmp_path / "log_0.mcap", {}) as writer:
+        for k in range(1, 4):
+            image = encode(image_msg(camera, CameraFrame(k, b"\xff\xd8" + bytes([k]))))
+            writer.write(t.PHOTO, image, k, k, k)
+            writer.write(t.CAMERA, image, k, k, k)
+    whole = (tmp_path / "log_0.mcap").read_bytes()
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / "log_0.mcap").write_bytes(whole[:-200])  # without its index
+    for folder in (tmp_path, tmp_path / "cut"):
+        assert [(p.name, p.jpeg) for p in photos(folder / "log_0.mcap")] == [
+            (f"{k}.jpg", b"\xff\xd8" + bytes([k])) for k in range(1, 4)
+        ]
+    assert [path.read_bytes()[-1] for path in save(tmp_path / "log_0.mcap", tmp_path / "out")] == [1, 2, 3]

@@ -39,6 +39,7 @@ steps:
             steps: [sit, wait: 5, posture: stand]
   - record: {name: valve}
   - record: {name: noise, seconds: 4}
+  - photo
 """
 
 
@@ -53,15 +54,16 @@ def test_a_file_becomes_an_order() -> None:
         ("stand-5", "stand"),
         ("record-6", "record"),
         ("record-7", "record"),
+        ("photo-8", "photo"),
     ]
     assert [(loop.first, loop.last, loop.times) for loop in order.loops] == [(2, 5, 3), (3, 5, 0)]
     gate, ask = order.steps[:2]
     assert (gate.x, gate.y, gate.yaw, gate.has_yaw, gate.timeout) == (3.0, 1.0, math.pi / 2, True, 60.0)
     assert (gate.on_failure, gate.retries) == ("retry", 2)
     assert (ask.on_failure, ask.retries, ask.choices) == ("skip", 0, ["yes", "no"])  # not True and False
-    assert [s.blocking_type for s in order.steps] == ["HARD"] * 5 + ["NONE", "HARD"]
+    assert [s.blocking_type for s in order.steps] == ["HARD"] * 5 + ["NONE", "HARD", "HARD"]
     assert (order.has_home, order.on_comms_loss, order.start) == (True, "hold", 2)
-    assert refusal(order, EVERYWHERE | {Kind.RECORD}, "sha256:0123456789abcdef") == ""
+    assert refusal(order, EVERYWHERE | {Kind.RECORD, Kind.PHOTO}, "sha256:0123456789abcdef") == ""
     assert "     steps 2 to 5, 3 times:" in list(numbered(order))
 
 
@@ -70,7 +72,7 @@ def test_a_file_becomes_an_order() -> None:
     [
         ("steps: []", "at least 1 item"),
         ("nme: 3\nsteps: [sit]", "nme: there is no such key"),
-        ("steps: [dance]", "step 1: Input should be 'stand', 'sit' or 'home'"),
+        ("steps: [dance]", "step 1: Input should be 'stand', 'sit', 'home' or 'photo'"),
         ("steps: [sit, {gogo: 1}]", "step 2: a step is one of"),
         ("steps: [{wait: 1, sit: 2}]", "step 1 sit: there is no such key"),
         ("steps: [{goto: {x: 1}}]", "step 1 y: Field required"),

@@ -92,6 +92,7 @@ class Robot:
                     t.MAP_PRIOR,
                     t.CAMERA_REQUEST,
                     t.AREAS_REQUEST,
+                    t.PHOTO_REQUEST,
                 ),
             ]
         )
@@ -109,7 +110,7 @@ class Robot:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
         told = (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
-        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE, t.CAMERA, t.CAMERA_INFO, t.AREAS):
+        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE, t.CAMERA, t.CAMERA_INFO, t.AREAS, t.PHOTO):
             self.bus.advertise(topic)
         camera = CameraConfig().mounted()
         assert camera is not None
@@ -138,7 +139,7 @@ class Robot:
             """Signs of an operator."""
             self.mission = MissionStage()
             self.prior = ""
-            self.filmed = 0
+            self.filmed = self.photos = 0
             """Requests for pictures."""
             self.alike: list[float] = []
             """Places in a loaded map that look alike: x, y [m], heading [rad] of each."""
@@ -230,6 +231,10 @@ class Robot:
             self.present += 1
         elif topic is t.ROUTE_QUESTION:
             self._answer(message)
+        elif topic is t.PHOTO_REQUEST:
+            self.photos += 1
+            frame = CameraFrame(time.time_ns(), _grey())
+            self.bus.publish(t.PHOTO, image_msg(self._camera, frame), frame.stamp)
         elif topic is t.CAMERA_REQUEST:
             self.filmed += 1
 

@@ -23,7 +23,7 @@ from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import array, decode, encode, header
 from tests.rbtrg_robot.hearsay import map_offset
 
-ALL = EVERYWHERE | {Kind.RECORD}
+ALL = EVERYWHERE | {Kind.RECORD, Kind.PHOTO}
 
 
 def goto(x: float, **fields: Any) -> msg.MissionStep:
@@ -178,6 +178,25 @@ def test_the_steps_are_done_in_their_order(world: World) -> None:
     assert (world.now - began) / NS > 1.0 + 1.0 + 2.0 + 1.0 + 1.0
     assert set(world.state.action_status) == {"FINISHED"}
     assert world.robot.phase == "ready"
+
+
+def test_a_photo_is_asked_for_until_one_of_now_comes(world: World) -> None:
+    def shoot(stamp: int) -> None:
+        world.take(world.stage.on(t.PHOTO, msg.CompressedImage(header=header(stamp, "camera_front"))))
+
+    shoot(world.now)
+    world.start(step("photo", on_failure="skip"), step("photo"))
+    world.run(1.0)
+    assert decode(world.kept.pop(t.PHOTO_REQUEST), msg.String).data == "s1"
+    shoot(world.now - 2 * NS)  # exposed before the step began
+    world.run(2.0)
+    assert t.PHOTO_REQUEST in world.kept
+    assert world.state.action_status == ["RUNNING", "WAITING"]
+    world.run(30.0)
+    assert world.state.action_status == ["FAILED", "RUNNING"]
+    assert "no photo within 30 s" in world.state.result_description[0]
+    shoot(world.now)
+    world.until("finished")
 
 
 def test_loops_begin_again_and_a_mission_may_begin_in_its_middle(world: World) -> None:

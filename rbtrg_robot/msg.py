@@ -387,6 +387,7 @@ class GoalStatus(Message):
     frontier: bool = False
     p_fail: float = 0.0
     worst: str = ""
+    chance_change: str = ""
 
 
 @dataclass(slots=True, eq=False)

@@ -134,7 +134,7 @@ def goal(message: msg.GoalStatus) -> dict[str, Any]:
         "recoveries": int(message.recoveries),
         "risk": message.risk,
         "frontier": bool(message.frontier),
-        "chance": arrival(message.p_fail, message.worst),
+        "chance": message.chance_change or arrival(message.p_fail, message.worst),
     }
 
 

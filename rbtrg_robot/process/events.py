@@ -13,7 +13,7 @@ from hal.safety.monitors import STRANGER, raised
 from hal.types import NS, ModeRequest, Phase
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.stages.navigation.goal import arrival
+from rbtrg_robot.stages.navigation.goal import CHANGED, arrival
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP
 from rbtrg_robot.wire.frames import MapFrame
@@ -82,6 +82,8 @@ class Events:
         self._map = msg.MapStatus()
         self._lost = self._low = self._returns = False
         self._strangers: set[str] = set()
+        self._chance = math.nan
+        """Probability of failure when a change of it was last told; NaN: none was."""
         self._refused: dict[str, tuple[int, int]] = {}
         """Of each reason: how many, and when the newest came [ns]."""
         self._asked: dict[str, str] = {}
@@ -181,6 +183,14 @@ class Events:
             who = self._asked.get("cancel", "") if status.state == "cancelled" else status.owner
             at = (status.x, status.y) if moving else None
             self.happened("goal", ", ".join(filter(None, (text, chance))), _grade(status.state), who, at)
+
+        if not status.chance_change:
+            self._chance = math.nan
+        elif (
+            not abs(status.p_fail - self._chance) < CHANGED
+        ):  # every plan differs a little from the one before
+            self._chance = status.p_fail
+            self.happened("chance", status.chance_change, INFO, status.owner)
 
     def _mission(self, state: msg.MissionState) -> None:
         if state.warning and not self._returns:

@@ -231,7 +231,7 @@ class Health:
                 "replans": goal.replans,
                 "recoveries": goal.recoveries,
                 "p_fail": None if math.isnan(goal.p_fail) else goal.p_fail,
-                "chance": arrival(goal.p_fail, goal.worst),
+                "chance": goal.chance_change or arrival(goal.p_fail, goal.worst),
             }
         mission = self.newest.get(t.MISSION_STATE)
         if mission is not None and mission.warning:

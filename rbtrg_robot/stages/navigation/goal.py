@@ -54,6 +54,8 @@ _ACTIVE = (
 )
 
 
+CHANGED = 0.05
+"""A chance that differs by less is much the same."""
 UNSEEN = 0.2
 """Less of a way over unseen ground [m] is not told."""
 
@@ -95,6 +97,15 @@ def arrival(p_fail: float, worst: str) -> str:
     return f"{share} % to arrive" + (f"; worst: {worst}" if worst else "")
 
 
+def chance_change(before: tuple[float, str], now: tuple[float, str]) -> str:
+    """Why a chance is another than before, each as probability of failure and its worst place; empty for less than
+    `CHANGED`."""
+    if not abs(now[0] - before[0]) >= CHANGED:
+        return ""
+    was, is_ = (f"{100 * (1.0 - p):.0f} % (worst: {worst or 'nothing'})" for p, worst in (before, now))
+    return f"the chance to arrive was {was}, it is {is_}"
+
+
 @dataclass(slots=True)
 class Goal:
     """One goal in frame `map`, once `move_to_map` was called."""
@@ -126,6 +137,8 @@ class Goal:
     """Probability that the route fails, NaN: not known."""
     worst: str = ""
     """Where that is most likely."""
+    first: tuple[float, str] = (math.nan, "")
+    """Both of its first route."""
 
     @classmethod
     def from_request(cls, message: msg.GoalRequest, now: int) -> Goal:
@@ -221,6 +234,7 @@ class Goal:
             frontier=self.frontier,
             p_fail=self.p_fail,
             worst=self.worst,
+            chance_change=chance_change(self.first, (self.p_fail, self.worst)),
         )
 
 

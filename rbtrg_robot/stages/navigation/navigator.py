@@ -204,6 +204,8 @@ class NavigatorStage:
         if self._arrived(goal) and not (message.ok and self._ends_nearer(goal, message)):
             return self._reach()
         goal.p_fail, goal.worst = message.p_fail, message.worst
+        if math.isnan(goal.first[0]):
+            goal.first = message.p_fail, message.worst
         if message.ok:
             self._recovery.found()
             self._budget.plan(message.length)

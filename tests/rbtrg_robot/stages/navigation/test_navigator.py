@@ -17,6 +17,7 @@ from planning.tracking.tracker import PathTracker
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.areas import ground_area
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import GoalArea, GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
@@ -1453,3 +1454,23 @@ def test_a_way_that_becomes_too_risky_is_looked_at_again_before_the_goal_ends(wo
         world.run(2.0)
         world.answer(ok=False, reason="too_risky", p_fail=0.3)
     assert (world.status.state, world.status.reason) == ("aborted", "too_risky")
+
+
+def test_a_chance_that_changed_is_told_with_its_worst_place_of_before_and_of_now(world: World) -> None:
+    events = Events(lambda _text: None)
+    world.goal()
+    for p_fail, worst, said in (
+        (0.02, "a ramp", ""),
+        (0.05, "a kerb", ""),
+        (0.2, "stairs", "the chance to arrive was 98 % (worst: a ramp), it is 80 % (worst: stairs)"),
+        (0.21, "stairs", "the chance to arrive was 98 % (worst: a ramp), it is 79 % (worst: stairs)"),
+    ):
+        world.route_valid = False
+        world.run(0.3)
+        world.route_valid = True
+        world.answer(p_fail=p_fail, worst=worst)
+        assert world.status.chance_change == said
+        events.take(t.GOAL_STATUS, world.status)
+    assert [event.text for event in events.due() if event.kind == "chance"] == [
+        "the chance to arrive was 98 % (worst: a ramp), it is 80 % (worst: stairs)"
+    ]

@@ -55,7 +55,8 @@ def ask(stage: PlannerStage, start: tuple[float, float], goal: tuple[float, floa
 
 def planner(*sets: str) -> PlannerStage:
     """With the limits of the model-based controller, which the grounds here are made for."""
-    return build(load(None, sets, scene="flat", controller="vmc"))
+    anywhere = [(-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0)]
+    return build(load(None, sets, scene="flat", controller="vmc", area=anywhere))
 
 
 def passage(seed: int, width: float) -> tuple[np.ndarray, tuple[float, float], tuple[float, float]]:

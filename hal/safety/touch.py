@@ -137,7 +137,8 @@ def uneven(around: Surroundings, pose: tuple[float, float, float]) -> tuple[floa
     under the body.
 
     `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because
-    the trunk is level on a slope, too.
+    the trunk is level on a slope, too. Where it stands on faces there is none, and what is told is how far the ground
+    lies off the lowest and the highest of them: all stairs under it push at a robot that climbs.
     """
     x, y, yaw = (float(v) for v in pose)
     front, side, resolution = BODY_LENGTH / 2, BODY_WIDTH / 2, around.resolution
@@ -162,6 +163,9 @@ def uneven(around: Surroundings, pose: tuple[float, float, float]) -> tuple[floa
         return 0.0, 0.0
     plane = np.linalg.lstsq(terms[under], ground[under], rcond=1e-3)[0]
     off = np.abs(ground - terms @ plane)
+    if np.sort(off[under])[-CELLS] > FACE:
+        low, high = np.sort(ground[under])[[CELLS - 1, -CELLS]]
+        off = np.maximum(ground - low, high - ground)
     off = np.where(beside, np.minimum(off, 0.5 * TALL), off)
     ahead, behind = (np.sort(off[way * terms[:, 1] >= -front]) for way in (1.0, -1.0))
     return float(ahead[-CELLS]), float(behind[-CELLS])

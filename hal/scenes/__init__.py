@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
 
-from hal.scenes import lanes, rescue
+from hal.scenes import lanes, places, rescue
 from hal.scenes.maze import maze
 from hal.scenes.meadow import meadow
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
@@ -29,10 +29,11 @@ _BUILT_IN: dict[str, Callable[[], Scene]] = {
     "rescue_steps": rescue.steps,
     "rescue_elevated": rescue.elevated,
     "lanes": lambda: lanes.lane(0).scene,
+    "places": lambda: places.named("places").scene,
 }
 
 
-SEEDED = ("maze", "lanes")
+SEEDED = ("maze", "lanes", "places")
 """Scenes that are another one for every seed."""
 
 
@@ -55,7 +56,7 @@ def load_scene(
     """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj).
 
     `resolution` [m] and `height_range` [m], `units` and `up` say how to import a file, `start` where the robot starts on it (see
-    `hal.scenes.files.read_scene`). `seed` picks a maze or a lane; `maze:7` and `lanes:7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
+    `hal.scenes.files.read_scene`). `seed` picks a maze or a lane; `maze:7`, `lanes:7` and `places:house,7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
     """
     if unknown:
         raise SceneError(
@@ -87,6 +88,8 @@ def load_scene(
             )
         if base == "lanes":
             return lanes.named(text if seed is None else f"lanes:{seed}").scene
+        if base == "places":
+            return places.named(text if seed is None else f"{text},{seed}").scene
         if base == "maze":
             return maze(seed=seed or 0)
         if seed is not None:

@@ -138,7 +138,8 @@ def _in_move(crossed, found, step, n):
 @njit(cache=True)
 def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
     """Write the prices [m] of the straight move from a to b into `out` (2, 2): there and back, driven forward and
-    backward. `faces` [mm] as of `planning.graph.faces`; coordinates in m, `map`."""
+    backward. False where it crosses stairs that are no way. `faces` [mm] as of `planning.graph.faces`; coordinates in m,
+    `map`."""
     d = math.hypot(xb - xa, yb - ya)
     ux, uy = (xb - xa) / d, (yb - ya) / d
     crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))
@@ -168,6 +169,7 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
         posts = max(posts, post)
     out += prices.posts[size_at(posts)] * d * share
     _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out)
+    return out[0, 0] < np.inf
 
 
 @njit(cache=True)

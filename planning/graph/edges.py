@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.edge_price import edge_price
+from planning.graph.edge_price import TREAD, edge_price, room_for, wheel_track
 from planning.graph.flags import ASSUMED, FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
@@ -22,6 +22,9 @@ SLOPE_BASE = 0.42
 """Slope is taken over this length, the wheelbase [m]."""
 SLOPE_TOLERANCE = 1.05
 """Factor on the tangent of the slope limit, for map noise."""
+COLUMNS = 10
+"""Sums over the cells of a section: how many there are, unseen, known; their height; height and count of those under
+the left and the right wheels; virtual ones; the risers there."""
 VIRTUAL_RISK = 4.0 / 3.0
 """Added to the native risk of an edge whose whole corridor is virtual: with sigma = 3 a metre of it costs as much as
 five metres of seen ground."""
@@ -74,6 +77,7 @@ def _covered(flags, x0, y0, res, xa, ya, ux, uy, end, front, half, r_lo, r_hi):
 def corridor(
     height,
     flags,
+    faces,
     x0,
     y0,
     res,
@@ -87,19 +91,19 @@ def corridor(
     max_gap,
     min_coverage,
     sums,
-    stood=False,
+    stood,
+    stairs,
 ):
     """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk:
-    for
-    the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and
-    for
-    the share of its area that is grass.
+    for the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`),
+    and for the share of its area that is grass.
 
     Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a
     hole for more than `max_gap` (a crack is driven across, not along), every cross-section seen to at least
     `min_coverage`, and nowhere steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map
-    is not seen. `sums` is scratch, (sections, 9) float64. `stood`: the robot stands at a along u, so the ground under
-    it there is not too steep, whatever the map says.
+    is not seen. `sums` is scratch, (sections, COLUMNS) float64. `stood`: the robot stands at a along u, so the ground
+    under it there is not too steep, whatever the map says. `stairs`: they are no slope; what their risers rise by is
+    left out, and `edge_price` tells whether they are a way.
     """
     rows, cols = height.shape
     dx = xb - xa
@@ -170,8 +174,12 @@ def corridor(
     if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
         return -1.0
     under = int(2.0 * front / SECTION) if stood else 0
-    if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip, under):
-        return -1.0
+    limit = max_tan * SLOPE_TOLERANCE
+    if not _not_steep(sums, n, limit, 4.0 * strip, under):
+        if not stairs or not _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, sums):
+            return -1.0
+        if not _not_steep(sums, n, limit, 4.0 * strip, under):
+            return -1.0
     return VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
 
 
@@ -200,6 +208,22 @@ def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
 
 
 @njit(cache=True)
+def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, sums):
+    """Note in each section how far [m] the risers of stairs lift the robot, by the tracks of its left and its right
+    wheels; whether there are any."""
+    crossed, gaps = np.empty((room_for(span), 4)), np.empty((room_for(span), 2))
+    some = False
+    for aside in (TREAD, -TREAD):
+        xw, yw = xa - front * ux - aside * uy, ya - front * uy + aside * ux
+        found = wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, span, crossed, gaps)[0]
+        for k in range(found):
+            if crossed[k, 3] > 0.0:
+                sums[int(crossed[k, 0] / SECTION), 9] += 0.5 * crossed[k, 1]
+                some = True
+    return some
+
+
+@njit(cache=True)
 def _not_steep(sums, n, limit, track, under):
     """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips. What
     lies within the first `under` sections is not judged."""
@@ -224,7 +248,12 @@ def _not_steep(sums, n, limit, track, under):
             # where the averages are cut short at the ends, their centres are nearer than the wheelbase
             centre_b = 0.5 * (max(0, i - reach) + min(n - 1, i + reach))
             centre_f = 0.5 * (max(0, j - reach) + min(n - 1, j + reach))
-            pitch = (fore / fore_n - back / back_n) / ((centre_f - centre_b) * SECTION)
+            rise, stairs = fore / fore_n - back / back_n, 0.0
+            for k in range(max(0, i - reach), min(n, j + reach + 1)):
+                stairs += sums[k, 9]
+            if stairs * rise > 0.0:
+                rise = max(abs(rise) - abs(stairs), 0.0)
+            pitch = rise / ((centre_f - centre_b) * SECTION)
         left = 0.0
         right = 0.0
         left_n = 0.0
@@ -243,13 +272,32 @@ def _not_steep(sums, n, limit, track, under):
 
 
 @njit(cache=True)
+def move(
+    height, flags, faces, xs, ys, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, radius,
+    prices, sums, stood, price,
+):  # fmt: skip
+    """Native risk of the straight move from a to b with what `corridor` adds; negative where it cannot be driven. Its
+    prices [m] come into `price` (2, 2), see `edge_price`."""
+    more = corridor(
+        height, flags, faces, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, sums, stood,
+        prices.measured,
+    )  # fmt: skip
+    if more < 0.0:
+        return F32(-1.0)
+    found = edge_risk(height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False)
+    if found < 0.0 or not edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, price):
+        return F32(-1.0)
+    return found + F32(more)
+
+
+@njit(cache=True)
 def connect(
     height, flags, faces, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
     length, width, max_tan, max_gap, min_coverage, radius, prices, risk, price, revision, version,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
-    sums = np.empty((rank, 9))
+    sums = np.empty((rank, COLUMNS))
     for j in range(ny):
         for i in range(nx):
             for o in range(len(offsets)):
@@ -284,14 +332,7 @@ def connect(
                 revision[j, i, o] = version
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
-                more = corridor(
-                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, sums
+                risk[j, i, o] = move(
+                    height, flags, faces, xs, ys, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
+                    min_coverage, radius, prices, sums, False, price[j, i, o],
                 )  # fmt: skip
-                if more < 0.0:
-                    continue
-                found = edge_risk(
-                    height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
-                )
-                if found >= 0.0:
-                    risk[j, i, o] = found + F32(more)
-                    edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, price[j, i, o])

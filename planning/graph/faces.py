@@ -18,9 +18,20 @@ EVEN = 0.7
 """A slope goes on where the next rise is this share of the one here or more, the other way round too."""
 STEEPEST = 0.7
 """From here [m/m] on it is no slope: stairs rise evenly as well, and tyres with a friction of 0.7 slide."""
+TREAD = 0.25
+"""Where two rises meet, half of each, ground that rises by less than this share of a steep one is a tread: risers do
+not go on into each other."""
 FACE_NOISE = 0.03
 """[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs
 is a wall."""
+
+
+@njit(cache=True)
+def _tread(height, r, c, dr, dc, least):
+    """Whether the ground is level where the rise at a cell and the next one, on the side of dr, dc, meet."""
+    middle = height[r + dr, c + dc]
+    here, beyond = middle - height[r, c], height[r + 2 * dr, c + 2 * dc] - middle
+    return min(abs(here), abs(beyond)) < least
 
 
 @njit(cache=True)
@@ -46,7 +57,8 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
                     if 3 * dr <= r < rows - 3 * dr and 3 * dc <= c < cols - 3 * dc:
                         rises[axis, 1] = height[r - dr, c - dc] - height[r - 3 * dr, c - 3 * dc]
                         rises[axis, 2] = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
-            main = rises[0] if abs(rises[0, 0]) >= abs(rises[1, 0]) else rises[1]
+            along_x = abs(rises[0, 0]) >= abs(rises[1, 0])
+            main = rises[0] if along_x else rises[1]
             for axis in range(2):
                 rise, before, after = rises[axis]
                 if rise == 0.0:
@@ -59,7 +71,12 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
                     beside = rises[axis, k]
                     if not beside * rise > 0.0:
                         continue
-                    if abs(main[0]) >= steep and abs(main[k]) >= steep and main[k] * main[0] > 0.0:
+                    goes_on = abs(main[0]) >= steep and abs(main[k]) >= steep and main[k] * main[0] > 0.0
+                    if goes_on:
+                        ahead = n if k == 2 else -n
+                        dr, dc = (0, ahead) if along_x else (ahead, 0)
+                        if _tread(height, r, c, dr, dc, TREAD * steep):
+                            continue
                         more += abs(beside)
                     elif abs(rise) < steep and EVEN * abs(rise) < abs(beside) < abs(rise) / EVEN:
                         common = max(common, min(abs(beside), abs(rise)))

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from hal.envelope import FAILURES, Envelope, Table, stored
+from hal.envelope import FAILURES, MAX_RISK, Envelope, Table, stored
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,8 @@ MAP_SIGMA = 0.01
 """Standard deviation of a face on the map [m]."""
 SIZE_STEP, SIZES = 0.01, 36
 """Heights and widths of the tables [m]: 0 to 0.35, beyond which nothing was tried."""
-TREAD_STEP, LEAST_TREAD, TREADS = 0.05, 0.20, 4
-"""Depths of treads of the tables [m]: 0.20 to 0.35, deeper ones are no easier."""
+TREAD_STEP, LEAST_TREAD, TREADS = 0.02, 0.20, 8
+"""Depths of treads of the tables [m]: 0.20 to 0.34, deeper ones are no easier."""
 LONGEST_TREAD = 0.45
 """Faces up, or down, that are so far apart [m] at most are stairs."""
 ANGLE_STEP, ANGLES = math.radians(5.0), 37
@@ -42,11 +42,14 @@ POSTS_SPEED = 0.5
 class Prices(NamedTuple):
     """Prices by size (`SIZES`) and angle (`ANGLES`)."""
 
+    measured: bool
+    """Whether they come from an envelope. Without one stairs are a slope."""
     face: Array
     """(2, 2, sizes, angles) [m] of one wheel that crosses a face: up or down, driven forward or backward, by the face's
     height and the angle between travel and its normal."""
     stairs: Array
-    """(2, sizes, treads, angles) [m] of one wheel that crosses a riser of stairs driven forward, up or down."""
+    """(2, sizes, treads, angles) [m] of one wheel that crosses a riser of stairs driven forward, up or down. Infinite
+    where stairs are no way: those that fail too often head-on, up or down, because what is driven down must be left."""
     slope: Array
     """(angles, angles) [m/m] by steepness and the angle between travel and uphill."""
     turn: Array
@@ -61,6 +64,7 @@ class Prices(NamedTuple):
 def free() -> Prices:
     """Where nothing has a price: the paper's cost."""
     return Prices(
+        False,
         np.zeros((2, 2, SIZES, ANGLES)),
         np.zeros((2, SIZES, TREADS, ANGLES)),
         np.zeros((ANGLES, ANGLES)),
@@ -83,7 +87,7 @@ def prices_of(controller: str | None, fall_cost: float) -> Prices:
     size = np.arange(SIZES) * SIZE_STEP
     angle = np.arange(ANGLES) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
-    out = free()
+    out = free()._replace(measured=True)
 
     def price(name: str, sigma: float, *values: ArrayLike) -> Array:
         if name not in envelope.manoeuvres:
@@ -91,11 +95,16 @@ def prices_of(controller: str | None, fall_cost: float) -> Prices:
         return fall_cost * hazards(envelope, name, sigma, *values, share=share[name])
 
     across = np.minimum(angle, np.pi - angle)
+    barred = np.zeros((SIZES, TREADS, 1), np.bool_)
     for way, name in enumerate(("up", "down")):
         for back, prefix in enumerate(("", "back_")):
             out.face[way, back] = 0.25 * price(prefix + name, MAP_SIGMA, size[:, None], across, 0.0)
+        stairs = f"stairs_{name}"
         riser, tread, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREADS), across)
-        out.stairs[way] = 0.25 * price(f"stairs_{name}", MAP_SIGMA, riser, tread, askew)
+        out.stairs[way] = 0.25 * price(stairs, MAP_SIGMA, riser, tread, askew)
+        if stairs in envelope.manoeuvres:
+            barred |= envelope.bound(stairs, riser, tread, 0.0) > MAX_RISK
+    out.stairs[:, barred[..., 0]] = np.inf
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)
     for k, name in enumerate(("bend", "spin")):
         out.turn[k] = price(name, MAP_SIGMA, size[:, None], steep, 1.0)

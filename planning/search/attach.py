@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_price
-from planning.graph.edge_price import edge_price
-from planning.graph.edges import MARGIN, SECTION, corridor
+from planning.graph.edges import COLUMNS, MARGIN, SECTION, move
 from planning.graph.flags import FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.prices import prices_of
-from planning.graph.risk import F32, edge_risk, height_near
+from planning.graph.risk import F32, height_near
 from planning.risk.turns import BEND
 from planning.search.guarded import guarded_turn, without
 
@@ -115,7 +114,7 @@ class Ground:
         self._xs = (grid.origin[0] + np.arange(cols) * grid.resolution).astype(np.float32)
         self._ys = (grid.origin[1] + np.arange(rows) * grid.resolution).astype(np.float32)
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
-        self._sums = np.empty((rank, 9))
+        self._sums = np.empty((rank, COLUMNS))
         self._stand = stand
         self._prices = prices_of(graph.params.controller, graph.params.fall_cost)
         if stand is not None:
@@ -268,17 +267,12 @@ def _moves(
     price = np.empty((2, 2), np.float32)
     for k in range(len(out)):
         xa, ya, xb, yb = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
-        more = corridor(
-            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, sums,
-            stood and k == 0,
+        out[k, 0] = move(
+            height, flags, faces, xs, ys, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage,
+            radius, prices, sums, stood and k == 0, price,
         )  # fmt: skip
-        if more < 0.0:
+        if out[k, 0] < 0.0:
             break
-        found = edge_risk(height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False)
-        if found < 0.0:
-            break
-        out[k, 0] = found + F32(more)
-        edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, price)
         out[k, 1:] = price.ravel()
     return out
 

@@ -182,6 +182,15 @@ def test_a_slope_is_even_and_a_step_before_the_wheels_is_not(way: float, yaw: fl
     assert ends[way > 0.0] < 1e-5, "it is at the other end"
 
 
+@pytest.mark.parametrize(("riser", "tread"), [(0.15, 0.30), (0.17, 0.28), (0.18, 0.26)])
+def test_stairs_explain_what_pushes_at_the_body_and_one_kerb_does_not(riser: float, tread: float) -> None:
+    for x in np.arange(0.0, tread, 0.04):
+        stairs = around(lambda u, _, x=x: riser * np.floor((u + x) / tread))
+        assert min(uneven(stairs, (0.0, 0.0, 0.0))) > TALL
+        kerb = around(lambda u, _, x=x: 0.19 * (u > x - 0.1))
+        assert max(uneven(kerb, (0.0, 0.0, 0.0))) < TALL
+
+
 def test_noise_of_a_cell_and_what_was_touched_explain_nothing() -> None:
     one = around(lambda x, y: 0.3 * ((np.abs(x - 0.4) < 0.01) & (np.abs(y) < 0.03)))
     assert 0 < np.count_nonzero(one.height) < CELLS

@@ -105,7 +105,9 @@ def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: s
     half = prices.face[..., : (ANGLES + 1) // 2]
     assert (np.diff(half, axis=-1) >= -1e-12).all(), "the more askew the dearer"
     np.testing.assert_allclose(prices.face, prices.face[..., ::-1], err_msg="from either side")
-    assert all((table >= 0.0).all() and np.isfinite(table).all() for table in prices)
+    for name, table in prices._asdict().items():
+        assert (np.asarray(table) >= 0.0).all()
+        assert np.isfinite(table).all() or name == "stairs"
     assert prices.face[0, 0, 0, 0] == prices.posts[0] == prices.gap[0] == 0.0
 
 

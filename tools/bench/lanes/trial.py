@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hal.mujoco.sim import Simulation
-from hal.scenes import load_scene
+from hal.scenes import load_scene, places
 from hal.scenes.lanes import Lane, named
 from hal.scenes.shortest import shortest
 from rbtrg_robot import topics as t
@@ -73,13 +73,15 @@ class Trial:
         return f"{name},map={self.made_of}" if self.made_of else name
 
     def lane(self) -> Lane:
-        """The lane; another scene is one without walls that are known. Raises SceneError."""
+        """The lane; of other scenes than `places` no walls are known. Raises SceneError."""
         if not self.goal:
             return named(self.scene)
-        scene = load_scene(self.scene)
+        place = places.named(self.scene) if self.scene.startswith("places:") else None
+        scene = place.scene if place else load_scene(self.scene)
         return Lane(
             scene=scene, level=0, controller="vmc", map="", layout="", width=math.inf, line=np.empty((0, 2)),
-            walls=np.empty((0, 5)), floor=scene.height, elements=(), beyond=None,
+            walls=places.bounds(place) if place else np.empty((0, 5)), floor=scene.height, elements=(),
+            beyond=place.beyond if place else None,
         )  # fmt: skip
 
 

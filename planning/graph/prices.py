@@ -31,8 +31,8 @@ SIZE_STEP, SIZES = 0.01, 36
 """Heights and widths of the tables [m]: 0 to 0.35, beyond which nothing was tried."""
 TREAD_STEP, LEAST_TREAD, TREADS = 0.02, 0.20, 8
 """Depths of treads of the tables [m]: 0.20 to 0.34, deeper ones are no easier."""
-STRAIGHT = math.radians(10.0)
-"""So far off head-on a robot is that drives straight up or down stairs, by the truth of such drives."""
+FLIGHT = 8
+"""Risers from one landing to the next, half a storey: nothing turns round between them, so they are one motion."""
 LONGEST_TREAD = 0.45
 """Faces up, or down, that are so far apart [m] at most are stairs."""
 ANGLE_STEP, ANGLES = math.radians(5.0), 37
@@ -51,7 +51,7 @@ class Prices(NamedTuple):
     height and the angle between travel and its normal."""
     stairs: Array
     """(2, sizes, treads, angles) [m] of one wheel that crosses a riser of stairs driven forward, up or down. Infinite
-    where stairs are no way: those that fail too often driven straight, up or down: what is driven down must be left."""
+    where stairs are no way: those on which a flight ends the drive too often, up or down: what is driven down must be left."""
     slope: Array
     """(angles, angles) [m/m] by steepness and the angle between travel and uphill."""
     turn: Array
@@ -105,7 +105,8 @@ def prices_of(controller: str | None, fall_cost: float) -> Prices:
         riser, tread, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREADS), across)
         out.stairs[way] = 0.25 * price(stairs, MAP_SIGMA, riser, tread, askew)
         if stairs in envelope.manoeuvres:
-            barred |= envelope.bound(stairs, riser, tread, STRAIGHT) > MAX_RISK
+            ends = share[stairs] * envelope.bound(stairs, riser, tread, 0.0)
+            barred |= 1.0 - (1.0 - ends) ** FLIGHT > MAX_RISK
     out.stairs[:, barred[..., 0]] = np.inf
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)
     for k, name in enumerate(("bend", "spin")):

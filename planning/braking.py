@@ -1,4 +1,5 @@
-"""Speed limits of a path from its bends and from the room to brake. Every speed profile of a path uses these two."""
+"""Bends of a path: where it turns round, and the speed limits from bends and from the room to brake. Every speed profile
+of a path uses these two."""
 
 from __future__ import annotations
 
@@ -9,6 +10,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+FOLD = math.radians(100.0)
+"""A path that turns by more at one point turns round: the ways to and from it lie beside each other, so it is driven to
+that point first."""
 
 
 def bend_speed(curvature: Array, lateral_accel: float, max_yaw_rate: float) -> Array:

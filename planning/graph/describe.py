@@ -8,8 +8,9 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.edge_price import EVEN_TAN, LEAST_FACE
-from planning.graph.flags import FACE, HIGH, LOW, UNSEEN
+from planning.graph.edge_price import EVEN_TAN
+from planning.graph.faces import LEAST_FACE
+from planning.graph.flags import BASE, FACE, HIGH, LOW, UNSEEN
 from planning.graph.nodes import step_distance2
 from planning.graph.prices import angle_at, size_at
 from planning.graph.risk import select
@@ -25,8 +26,6 @@ WHEEL_RING = (0.15, 0.36)
 NOISE, MOST_NOISE = 3.5, 0.02
 """Median deviations of the rises that are noise: the largest of some hundred on even ground is about five. More [m] is
 no noise of the map, but rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
-EDGE_BASE = 0.12
-"""Distance over which an edge under the wheels is measured [m]."""
 UNKNOWN_RUN = 0.20
 """Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
 
@@ -122,14 +121,14 @@ def turn_is_free(headings, yaw_in, turn):
 def turn_ground(height, trusted, x0, y0, res, x, y, climbed):
     """Highest edge [m] where the wheels go in a turn on the spot, and the slope [m/m] of the ground there.
 
-    An edge is a rise over `EDGE_BASE` less the ground's own slope. Along x and along y, between means of about 5 cm.
+    An edge is a rise over `BASE` less the ground's own slope. Along x and along y, between means of about 5 cm.
     The slope is the median of all the rises, so neither a ramp nor part of a plate counts; what the map's noise makes
     of even ground is taken off. What is higher than `climbed` [m] is a wall, beside which a turn has room or not.
     """
     rows, cols = height.shape
     stride = max(1, round(0.04 / res))
-    base = round(EDGE_BASE / (stride * res))
-    n = math.ceil((WHEEL_RING[1] + 0.5 * EDGE_BASE) / (stride * res))
+    base = round(BASE / (stride * res))
+    n = math.ceil((WHEEL_RING[1] + 0.5 * BASE) / (stride * res))
     half = round(0.02 / res)
     r_mid = math.floor((y - y0) / res + 0.5)
     c_mid = math.floor((x - x0) / res + 0.5)

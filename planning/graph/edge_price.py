@@ -13,14 +13,12 @@ import numpy as np
 from numba import njit
 
 from hal.go2w import HIP_Y, THIGH_Y, TREAD_Y
-from planning.graph.faces import BASE
-from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
+from planning.graph.faces import LEAST_FACE
+from planning.graph.flags import BASE, FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.prices import LONGEST_TREAD, SIZE_STEP, SIZES, angle_at, size_at, tread_at
 
 AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
 """Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
-LEAST_FACE = 0.03
-"""Lower faces [m] are noise of the map."""
 HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
 """Higher ones [m] are walls, which a move stays off."""
 BEYOND = 0.50

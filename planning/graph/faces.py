@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-BASE = 0.12
-"""Distance over which the rise is taken [m], as for the flags."""
+from planning.graph.flags import BASE
+
 EVEN = 0.7
 """A slope goes on where the next rise is this share of the one here or more, the other way round too."""
 STEEPEST = 0.7
@@ -21,6 +21,8 @@ STEEPEST = 0.7
 TREAD = 0.25
 """Where two rises meet, half of each, ground that rises by less than this share of a steep one is a tread: risers do
 not go on into each other."""
+LEAST_FACE = 0.03
+"""Lower faces [m] are noise of the map."""
 FACE_NOISE = 0.03
 """[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs
 is a wall."""

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import FIELD, POSTS
 from planning.graph.params import Window
 
@@ -19,11 +20,11 @@ ramps and rough ground have less."""
 FACES = 0.26
 """Smaller eigenvalue of the faces' second moment, averaged over the local square, where the highest posts are 1 m [m^2]. It grows with
 their height squared."""
-LEAST = 0.03
-"""Lower faces [m] are noise."""
 EVEN, SPREAD = 0.5, 1.2
 """From outside a LiDAR sees the tops of the posts alone, which lie as if they were half as high or less. So a field whose rim was seen goes on over ground
 within this distance [m] on which posts would be above this share of the least height, as far as that ground was seen."""
+ENTERED = 0.5
+"""So much of a way [m] in a field that was not reckoned with is reason to look for another."""
 CORE = 1
 """Even ground is a square of this many cells on each side of one: a lane between posts and a wall is not much wider on the map."""
 WALL = 0.25
@@ -83,7 +84,7 @@ def compared(faces, local, wide):
             size2 = x * x + y * y
             if size2 > (1000.0 * WALL) ** 2:
                 out[3, r, c] = 1
-            elif size2 >= (1000.0 * LEAST) ** 2:
+            elif size2 >= (1000.0 * LEAST_FACE) ** 2:
                 out[0, r, c], out[1, r, c], out[2, r, c] = x * x, y * y, x * y
     for k in range(4):
         summed = sums(out[k], local)

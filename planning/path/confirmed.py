@@ -23,12 +23,11 @@ LEAST, TURN = 0.06, 1.0
 """A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to both sides."""
 AHEAD, ROUND = 0.45, 0.25
 """[m] from the robot to what it cannot see, and around that."""
-BACK, BACK_SPACING = 0.12, 0.04
-"""[m] A path backward ends where less than the first is left to what nobody saw: the guard creeps before it and holds. Asked so often."""
+BACK = 0.12
+"""[m] A path backward ends where less is left to what nobody saw: the guard creeps before it and holds."""
 UNSEEN = 0.2
-"""[m/s] where a part of the ground under the leading wheels was not seen."""
-LEAVES = 0.2
-"""[m/s] with a part of the body over grass: a post in it is felt by the body first."""
+"""[m/s] where a part of the ground under the leading wheels was not seen, or of that under the body is under leaves: a post in grass
+is felt by the body first."""
 CREEP = 0.35
 """[m] that a robot creeps until it asks again, half of its length."""
 TURN_SPACING, WHEEL = 0.05, (-TREAD_WIDTH / 2, 0.0, TREAD_WIDTH / 2)
@@ -59,7 +58,7 @@ def confirmed(
     share = _hidden_share(path, sign, graph, width)
     blocked = share > 1.0 - (graph.params.min_coverage if coverage is None else coverage)
     first = int(np.argmax(blocked)) if blocked.any() else len(blocked)
-    every = max(1, round(BACK_SPACING / path.limits.spacing))
+    every = max(1, round(SPACING / path.limits.spacing))
     for k in np.flatnonzero(sign[:first] < 0.0)[::every]:
         if _behind(grid, path, int(k), graph.params.max_gap) < BACK:
             blocked[k] = True
@@ -69,7 +68,7 @@ def confirmed(
 
 
 def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
-    """The path, driven at `LEAVES` where a part of the body is over grass, or half a body before it."""
+    """The path, driven at `UNSEEN` where a part of the body is over grass, or half a body before it."""
     cells = graph.cells
     assert cells is not None
     leaves = cells.flags & PLANTS > 0
@@ -82,7 +81,7 @@ def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x, y = path.points[:, :1] + u * c - v * s, path.points[:, 1:2] + u * s + v * c
     share = at_places(leaves, x, y, cells.origin, cells.res).mean(axis=1)
-    return path.slowed(share > 0.0, LEAVES)
+    return path.slowed(share > 0.0, UNSEEN)
 
 
 def _sign(path: Path) -> NDArray[np.float64]:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
+from planning.braking import FOLD
 from planning.path.speed import speeds
 from planning.path.spline import rounded
-from planning.path.types import FOLD, Path, PathLimits
+from planning.path.types import Path, PathLimits
 from planning.path.watch import terrain_around
 from planning.risk.body import (
     BodyModel,

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import wrap
 from planning.braking import bend_speed, brake
+from planning.graph.faces import FACE_NOISE, LEAST_FACE
 from planning.path.types import PathLimits
 from planning.risk.body import BodyModel
 
@@ -16,10 +17,6 @@ Array = NDArray[np.float64]
 MEASURED = 0.5
 """Slopes and faces within the limits of every controller are passed at this speed [m/s] (`tools.bench envelope`): they are no reason to
 be slower."""
-FACE = 0.03
-"""Faces above this [m], the edge that may be turned over on the spot, have to be climbed."""
-NOISE = 0.04
-"""[m] that a face on the map may be higher than the true one: a hurdle of the robot's own 20 cm was driven at 0.28 m/s where the map had it 21 cm high."""
 
 
 def speeds(
@@ -48,7 +45,7 @@ def speeds(
     share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
     careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk + along), 1.0 - 0.5 * share)
     careful = np.maximum(careful, np.minimum(limits.max_speed / (1.0 + risk), MEASURED))
-    climb = np.where((faces > FACE) & (faces <= limits.max_step + NOISE), limits.step_speed, 0.0)
+    climb = np.where((faces > LEAST_FACE) & (faces <= limits.max_step + FACE_NOISE), limits.step_speed, 0.0)
     careful = np.maximum(careful, climb)
     speed = bend_speed(curvature, limits.lateral_accel, limits.max_yaw_rate)
     speed = np.minimum(speed, np.interp(s, s_features, careful))

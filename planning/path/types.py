@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from planning.braking import brake
+from planning.braking import FOLD, brake
 
 Array = NDArray[np.float64]
 
 
-FOLD = math.radians(100.0)
-"""From here on a corner turns round: the way back lies beside the way to it."""
 REACH = 20
 """Poses that are watched, 1 m, among which the robot is looked for: a path may come back to where it was."""
 

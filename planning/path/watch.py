@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
+from planning.graph.fields import ENTERED
 from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
 from planning.path.confirmed import at_places
@@ -21,8 +22,6 @@ TOLERANCE = 0.02
 """[m] by which a new face must exceed the robot's limit."""
 NOISE = 0.04
 """[m] by which a face must have grown: four standard deviations of its change, when each height is known to 5 mm."""
-LONG = 0.5
-"""[m] of a path in a stepfield that was not known when the path was made: reason enough to look for another."""
 
 
 def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> tuple[bool, str]:
@@ -83,7 +82,7 @@ def new_field(path: Path, graph: TraversalGraph, before: NDArray[np.bool_]) -> s
         return ""
     new = now & ~before[-len(now) :]
     step = np.hypot(*np.diff(path.watched[:, :2], axis=0, append=path.watched[-1:, :2]).T)
-    if float(step[new].sum()) < LONG:
+    if float(step[new].sum()) < ENTERED:
         return ""
     x, y, _ = path.watched[int(np.argmax(new))]
     return f"a stepfield begins at ({x:.2f}, {y:.2f})"

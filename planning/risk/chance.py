@@ -24,7 +24,8 @@ from hal.envelope import Envelope
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
-from planning.graph.edge_price import AXLE, HIGHEST_FACE, LEAST_FACE, TREAD, room_for, wheel_track
+from planning.graph.edge_price import AXLE, HIGHEST_FACE, TREAD, room_for, wheel_track
+from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import FIELD
 from planning.graph.prices import ending, hazards
 from planning.risk.pose_sets import turn_angle

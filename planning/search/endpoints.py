@@ -15,13 +15,10 @@ from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.risk.table import RiskTable
 from planning.search.attach import SAME, Ground, Spot, attached, dear_to_turn
 from planning.search.request import Place, PlanRequest
+from planning.search.to_go import OBSTACLE
 
 _DISC = 0.30
 """Radius [m] of the ground around a goal that tells whether the goal is an obstacle or was never seen."""
-OBSTACLE = 0.25
-"""A face this high under the middle of the body [m] is an obstacle whatever the controller, also seen from afar."""
-_SEEN = 0.70
-"""Share of trusted cells in that disc from which the ground counts as seen."""
 
 
 @dataclass(slots=True)
@@ -188,8 +185,11 @@ def step_on_line(grid: ElevationGrid, a: tuple[float, float], b: tuple[float, fl
     return float(np.abs(np.diff(z)).max(initial=0.0))
 
 
-def ground_at(grid: ElevationGrid, xy: tuple[float, float], max_step: float, radius: float) -> str:
-    """`unseen`, `blocked` (a face above `max_step` within `radius`) or `free`: the ground around x, y. Lengths in m."""
+def ground_at(
+    grid: ElevationGrid, xy: tuple[float, float], max_step: float, radius: float, coverage: float
+) -> str:
+    """The ground within `radius` of x, y, lengths in m: `unseen` where less than `coverage` of it is trusted, `blocked` by
+    a face above `max_step`, or `free`."""
     if not on_map(grid, xy):
         return "unseen"
     reach = int(np.ceil(radius / grid.resolution))
@@ -201,7 +201,7 @@ def ground_at(grid: ElevationGrid, xy: tuple[float, float], max_step: float, rad
         rows.start - r : rows.start - r + z.shape[0], cols.start - c : cols.start - c + z.shape[1]
     ]
     disc = dr**2 + dc**2 <= (radius / grid.resolution) ** 2
-    if ok[disc].mean() < _SEEN:
+    if ok[disc].mean() < coverage:
         return "unseen"
     for axis in (0, 1):
         step = np.abs(np.diff(np.where(ok & disc, z, np.nan), axis=axis))
@@ -257,9 +257,10 @@ def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], 
     """What a goal is that no node is near to. -> True: seen and no obstacle; False: not seen. Raises NoRoute for the
     rest."""
     where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
-    ground = ground_at(grid, xy, graph.params.max_step, _DISC)
+    p = graph.params
+    ground = ground_at(grid, xy, p.max_step, _DISC, p.min_coverage)
     exact = graph.cells is not None
-    inside = ground_at(grid, xy, max(OBSTACLE, graph.params.max_step), 0.5 * graph.params.width)
+    inside = ground_at(grid, xy, max(OBSTACLE, p.max_step), 0.5 * p.width, p.min_coverage)
     if ground == "blocked" and (not exact or inside == "blocked"):
         raise NoRoute(
             NoRouteReason.GOAL_IN_OBSTACLE,

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph.describe import RAYS
+from planning.graph.fields import ENTERED
 from planning.graph.flags import FACE, FIELD, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.search.request import Plan, PlanRequest
@@ -42,8 +43,8 @@ LONGEST = 2.0
 """Longest time [s] between two plans that counts: the goal may have been paused."""
 BEGINS = 0.4
 """Virtual ground that begins farther than this [m] ahead of a body at a node is not looked at from there."""
-FIELD_STEP, LONG = 0.1, 0.5
-"""A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
+FIELD_STEP = 0.1
+"""A route is sampled so densely [m] for stepfields."""
 
 UNSEEN = 0.5
 """A way to the goal of which more leads over ground that nobody saw [m] is not known to be one: frontiers are asked as well."""
@@ -206,7 +207,7 @@ def enters_field(graph: TraversalGraph, points: NDArray[np.float64]) -> bool:
     s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     along = np.linspace(0.0, s[-1], int(s[-1] / FIELD_STEP) + 2)
     inside = in_field(graph, np.column_stack([np.interp(along, s, x), np.interp(along, s, y)]))
-    return bool(not inside[0] and inside.sum() * FIELD_STEP > LONG)
+    return bool(not inside[0] and inside.sum() * FIELD_STEP > ENTERED)
 
 
 def over_unseen(plan: Plan) -> float:

@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hal.rotation import wrap
-from planning.braking import bend_speed, brake
+from planning.braking import FOLD, bend_speed, brake
 
 STEP = 0.05
 """Spacing of the resampled path [m]."""
-SHARP = math.radians(100.0)
-"""A path that turns by more at one point is driven to that point first: the ways to and from it lie beside each other."""
 LONGEST = 10_000.0
 """[m]: a longer path is an error of somebody's."""
 
@@ -108,7 +106,7 @@ def track_paths(
     chord = np.diff(xy[keep], axis=0)
     course = np.arctan2(chord[:, 1], chord[:, 0])
     back = np.cos(facing[keep][:-1] - course) < 0.0
-    cut = (back[1:] != back[:-1]) | (np.abs(wrap(np.diff(course))) > SHARP)
+    cut = (back[1:] != back[:-1]) | (np.abs(wrap(np.diff(course))) > FOLD)
     ends = [0, *(np.flatnonzero(cut) + 1).tolist(), len(back)]
     out = []
     for first, last in pairwise(ends):

@@ -28,14 +28,13 @@ from planning.search.frontier import FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
-from rbtrg_robot.stages.map_graph import MapGraph
+from rbtrg_robot.stages.map_graph import WHOLE, MapGraph
 
 NEAR = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later,
 may have one."""
-REDRAWS, AT_LEAST, REDRAWN_CELLS = 5, 2, 500_000
-"""Other graphs that are searched at once; fewer, but some, where more cells of the map than so many would be drawn anew
-together."""
+REDRAWS, AT_LEAST = 5, 2
+"""Other graphs that are searched at once; fewer, but some, where more cells than `WHOLE` would be drawn anew together."""
 LOST = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may
 have been lost."""
@@ -215,7 +214,7 @@ class WaySearch:
         if found is None or _lost(before, found[0]) or _dear(found[0]):
             kept = terrain.graph, terrain.table
             start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
-            for _ in range(min(REDRAWS, max(AT_LEAST, REDRAWN_CELLS // terrain.sampled))):
+            for _ in range(min(REDRAWS, max(AT_LEAST, WHOLE // terrain.sampled))):
                 try:
                     terrain.sample_anew(start, goal)
                     other = self._plan(terrain, message, None)

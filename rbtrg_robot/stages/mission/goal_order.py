@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.mission import OURS
 from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.navigation.path_order import REPEAT
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.messages import header
-
-REPEAT = NS // 2
-"""A navigator that does not follow is told again after this long [ns]."""
 
 
 def active(status: msg.GoalStatus | None) -> bool:

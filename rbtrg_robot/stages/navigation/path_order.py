@@ -15,7 +15,7 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.wire.messages import header
 
 REPEAT = NS // 2
-"""A tracker that works on something else than it was told is told again after this long [ns]."""
+"""Who works on something else than it was told, a tracker or a navigator, is told again after this long [ns]."""
 OUT_SPEED = 0.3
 """[m/s], or what the robot needs to come over faces: it may have been one that held it."""
 HEADING = math.radians(10.0)

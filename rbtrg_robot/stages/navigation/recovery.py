@@ -7,10 +7,8 @@ from enum import StrEnum
 
 from hal.safety.monitors import TOUCHED
 from rbtrg_robot.stage_config import NavigatorConfig
-from rbtrg_robot.stages.navigation.progress import Pose2
+from rbtrg_robot.stages.navigation.progress import PLACE, Pose2
 
-SAME_PLACE = 1.0
-"""[m]"""
 LOOK_DOWN_AT = 2
 """Which try in a row without a route: noise closes many a passage for a moment, and another graph often has a way."""
 
@@ -128,4 +126,4 @@ class Recovery:
 def _visit(places: list[Pose2], pose: Pose2) -> int:
     """Note the pose; how often the robot was at this place, this time included."""
     places.append(pose)
-    return sum(math.dist(pose[:2], other[:2]) < SAME_PLACE for other in places)
+    return sum(math.dist(pose[:2], other[:2]) < PLACE for other in places)

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planning.graph.edge_price import AXLE, BEYOND, EVEN_TAN, HIGHEST_FACE, LEAST_FACE, TREAD, edge_price
-from planning.graph.faces import update_faces
+from planning.graph.edge_price import AXLE, BEYOND, EVEN_TAN, HIGHEST_FACE, TREAD, edge_price
+from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.prices import LONGEST_TREAD, angle_at, prices_of, size_at, tread_at
 

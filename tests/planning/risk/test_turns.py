@@ -13,7 +13,7 @@ from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
 from planning.graph.describe import ALL_HEADINGS, turn_ground
-from planning.graph.edge_price import LEAST_FACE
+from planning.graph.faces import LEAST_FACE
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
 from planning.risk.body import BodyModel, sweep_poses

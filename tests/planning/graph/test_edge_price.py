@@ -193,4 +193,6 @@ def test_the_kernel_is_the_plain_sum_over_four_wheels() -> None:
         a, b = rng.uniform((2.0, 1.5), (3.0, 2.5), (2, 2))
         seen.append(price(z, a, b, flags))
         np.testing.assert_allclose(seen[-1], plain(z, flags, a, b), rtol=1e-3, atol=1e-4)
-    assert np.std([s[0, 0] for s in seen]) > 0.05
+    first = np.array([s[0, 0] for s in seen])
+    assert np.std(first[np.isfinite(first)]) > 0.05
+    assert np.isfinite(first).sum() > 50, "stairs that are no way are rare"

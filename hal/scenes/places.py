@@ -163,8 +163,8 @@ def _house(random: np.random.Generator) -> Place:
 def _steps(rise: float, tread: float) -> dict[str, Callable[[np.random.Generator], Place]]:
     name = f"stairs_{round(100 * rise)}_{round(100 * tread)}"
     return {
-        f"{name}_{way}": (lambda random, up=up: _stairs(random, rise, tread, up))
-        for way, up in (("up", True), ("down", False))
+        f"{name}_up": lambda random: _stairs(random, rise, tread, up=True),
+        f"{name}_down": lambda random: _stairs(random, rise, tread, up=False),
     }
 
 

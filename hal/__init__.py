@@ -1,4 +1,4 @@
-"""The robot: contract, value types, Go2-W facts, safety gate; simulators and hardware behind it."""
+"""The robot: contract, value types, robots, safety gate; simulators and hardware behind it."""
 
 import os
 import sys

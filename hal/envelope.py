@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hal.errors import OperatorError
+from hal.robots import envelope_file
 from hal.types import Array
 
 FAILURES = ("fell", "stuck", "slid", "touched")
@@ -38,7 +39,7 @@ FALL_COST = 100.0
 """Metres of driving that one failure is worth."""
 
 SPORT = "sport"
-"""The vendor's locomotion of the real robot, as a controller."""
+"""The vendor's locomotion of a real robot, as a controller."""
 
 _CHECKED = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -402,16 +403,10 @@ def limits(envelope: Envelope) -> dict[str, float]:
     return out
 
 
-def file_of(controller: str) -> Path:
-    """Where the envelope of a controller stands: beside its weights; of the vendor's service, beside its backend."""
-    folder = "unitree" if controller == SPORT else "locomotion"
-    return Path(__file__).parent / folder / f"{controller}.envelope.json"
-
-
 @cache
 def stored(controller: str) -> Envelope:
-    """The envelope of a controller. Raises EnvelopeError."""
-    return read(file_of(controller))
+    """The envelope of `CONTROLLER` of the default robot, or of `ROBOT/CONTROLLER`. Raises EnvelopeError, RobotError."""
+    return read(envelope_file(controller))
 
 
 def _compact(text: str) -> str:

@@ -20,6 +20,8 @@ from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, Use
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "mapping", "planning")
+FACTS = "robot.yaml"
+"""Numbers that kernels beside it freeze."""
 _IMPORT = re.compile(
     rf"^(?:from[ ]+((?:{'|'.join(PACKAGES)})[\w.]*)[ ]+import[ ]+(\([^)]*\)|.*)|import[ ]+((?:{'|'.join(PACKAGES)})[\w.]*))",
     re.M,
@@ -60,6 +62,9 @@ def stamp(path: Path) -> bytes:
     digest = hashlib.sha256()
     for file in sorted(needed):
         digest.update(_read(file)[0])
+    for facts in sorted({file.parent / FACTS for file in needed}):
+        if facts.is_file():
+            digest.update(facts.read_bytes())
     return digest.digest()
 
 

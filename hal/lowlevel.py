@@ -1,18 +1,14 @@
 """The joint-level interface between a locomotion controller and a robot, shaped like the SDK's LowState/LowCmd.
 
-Arrays are (16,) float64 in SDK motor order (`hal.go2w.MOTORS`): FR hip, thigh, calf; FL; RR; RL; wheels FR, FL, RR, RL.
+Arrays are (16,) float64 in SDK motor order (`hal.limbs.MOTORS`): FR hip, thigh, calf; FL; RR; RL; wheels FR, FL, RR, RL.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 from hal.types import Array, PostureCommand, VelocityCommand
-
-Controller = Literal["vmc", "policy", "hybrid"]
-"""Model-based, a learnt policy, or both: see `hal.locomotion`."""
-CONTROLLERS: tuple[Controller, ...] = get_args(Controller)
 
 
 @dataclass(slots=True)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hal.go2w import MOTORS
+from hal.limbs import MOTORS
 from hal.safety.monitors import (
     ACCELERATION,
     GRAVITY_SIDE,

@@ -58,7 +58,7 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """All sixteen motors in SDK order (`hal.go2w.MOTORS`)."""
+    """All sixteen motors in SDK order (`hal.limbs.MOTORS`)."""
 
     stamp: int
     position: Array
@@ -201,6 +201,10 @@ class Capabilities:
     """What this robot with this controller can do: hard limits for gate, planner and tracker."""
 
     name: str
+    length: float = 0.70
+    """Of the body [m], base_link in its middle. The defaults are the body of the paper."""
+    width: float = 0.43
+    """[m]"""
     max_vx: float = 1.0
     """[m/s], both directions."""
     max_vy: float = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hal.go2w import wheel_jacobians
+from hal.limbs import Limbs, wheel_jacobians
 from hal.types import Array
 
 CONTACT_FORCE = 12.0
@@ -49,13 +49,22 @@ def axle_force(jacobian: Array, t0: float, t1: float, t2: float) -> tuple[float,
 
 
 @njit(cache=True)
-def wheel_loads(q: Array, tau: Array, up: Array) -> Array:
+def is_rigid(limbs: Limbs) -> bool:
+    """Whether the wheels sit on the body itself: then no joint tells what they carry."""
+    return limbs.thigh + limbs.calf == 0.0
+
+
+@njit(cache=True)
+def wheel_loads(limbs: Limbs, q: Array, tau: Array, up: Array) -> Array:
     """(4,) force of the ground on each wheel [N] along the unit vector `up` (3,), base_link axes; legs FR, FL, RR, RL.
 
-    `q` [rad] and `tau` [Nm]: (16,) in SDK order. The weight of the legs is left out: about 10 N a leg.
+    `q` [rad] and `tau` [Nm]: (16,) as `hal.limbs.MOTORS`. The weight of the legs is left out: about 10 N a leg of 2.5 kg.
+    Infinite where no joint tells.
     """
-    jacobian = wheel_jacobians(q)
-    load = np.empty(4)
+    load = np.full(4, np.inf)
+    if is_rigid(limbs):
+        return load
+    jacobian = wheel_jacobians(limbs, q)
     for leg in range(4):
         fx, fy, fz = axle_force(jacobian[leg], -tau[3 * leg], -tau[3 * leg + 1], -tau[3 * leg + 2])
         load[leg] = fx * up[0] + fy * up[1] + fz * up[2]
@@ -63,12 +72,16 @@ def wheel_loads(q: Array, tau: Array, up: Array) -> Array:
 
 
 @njit(cache=True)
-def wheel_pushes(q: Array, tau: Array) -> Array:
-    """(4,) force of the ground on each wheel [N] along the trunk's x axis, as `wheel_loads`, with the reaction of the wheels' own motors."""
-    jacobian = wheel_jacobians(q)
+def wheel_pushes(limbs: Limbs, q: Array, tau: Array) -> Array:
+    """(4,) force of the ground on each wheel [N] along the trunk's x axis, as `wheel_loads`, with the reaction of the wheels'
+    own motors; of wheels on the body itself what their motors push."""
+    jacobian = wheel_jacobians(limbs, q)
     push = np.empty(4)
     for leg in range(4):
         wheel = tau[12 + leg]
+        if is_rigid(limbs):
+            push[leg] = wheel / limbs.radius
+            continue
         push[leg] = axle_force(
             jacobian[leg], -tau[3 * leg], wheel - tau[3 * leg + 1], wheel - tau[3 * leg + 2]
         )[0]

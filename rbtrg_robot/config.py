@@ -5,6 +5,7 @@ Layers, later ones win: defaults, `--config FILE` (YAML), `--set a.b=c`, the fla
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,14 +17,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from hal.camera import CameraConfig
 from hal.envelope import SPORT, Envelope, stored
 from hal.errors import OperatorError
-from hal.go2w import BODY_LENGTH, BODY_WIDTH, IMU_POSITION
-from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
-from hal.lowlevel import Controller
-from hal.mujoco.config import CAPABILITIES, SimConfig
+from hal.lidar.config import LidarConfig
+from hal.mujoco.config import SimConfig
+from hal.robots import DEFAULT, Robot, RobotError, describe
 from hal.safety.gate import GateConfig
 from hal.safety.geofence import Fence, Geofence, GeofenceError
 from hal.scenes import Scene, load_scene
-from hal.types import Capabilities, Extrinsics, MountedLidar
+from hal.types import Capabilities, MountedLidar
 from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.holes import Crossing
@@ -105,22 +105,28 @@ class StackConfig(BaseModel):
         pattern=r"^[A-Za-z][A-Za-z0-9_-]*$",
         description="name of this robot; another than the default is the ROS namespace of its topics",
     )
+    robot_model: str = Field(
+        DEFAULT, description="what the robot is: a name of `robot list`, or a folder that holds robot.yaml"
+    )
     backend: Literal["sim", "unitree"] = Field("sim", description="simulated or real robot")
     port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
     domain: int = Field(0, ge=0, le=232, description="ROS domain")
     network: NetworkConfig = NetworkConfig()
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
-    controller: Controller = Field(
+    controller: str = Field(
         "hybrid",
-        description="locomotion of the simulated robot: model-based, a learnt policy, or hybrid: model-based, the policy climbs",
+        description="of those in the robot's description: `robot show`; its first one is the default",
     )
     policy_dir: str = Field(
         "",
-        description="locomotion policy: a folder in rl_sar's layout, a file of `tools.train` or the name of a fetched one; empty: ours for hybrid, the fetched go2w_rl_sar for policy",
+        description="of a controller that learnt: a folder in rl_sar's layout, a file of `tools.train` or the name of a fetched one; "
+        "empty: the robot's own",
     )
     lidars: tuple[LidarConfig, ...] = Field(
-        DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"
+        default_factory=lambda: describe().lidars,
+        min_length=1,
+        description="what the robot carries; the main one is needed",
     )
     own_parts: tuple[OwnPart, ...] = Field(
         (),
@@ -162,6 +168,18 @@ class StackConfig(BaseModel):
     console: ConsoleConfig = ConsoleConfig()
     comms: CommsConfig = CommsConfig()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_robot(cls, values: Any) -> Any:
+        """Under what is given lie the facts of the robot: what it carries, how large it is, where its IMU sits."""
+        if not isinstance(values, dict):
+            return values
+        try:
+            robot = describe(values.get("robot_model", DEFAULT))
+        except RobotError as error:
+            raise ValueError(str(error)) from error
+        return _laid_under(_facts(robot), values)
+
     @field_validator("unitree")
     @classmethod
     def _lidars_stand_in_one_place(cls, unitree: UnitreeConfig) -> UnitreeConfig:
@@ -202,14 +220,31 @@ class StackConfig(BaseModel):
             _checked(area)
         return keepout
 
-    @field_validator("body")
-    @classmethod
-    def _no_smaller_than_it_is(cls, body: BodyModel) -> BodyModel:
-        if not BODY_LENGTH <= body.length <= 1.5 or not BODY_WIDTH <= body.width <= 1.0:
+    @model_validator(mode="after")
+    def _no_smaller_than_it_is(self) -> StackConfig:
+        own, body = self.facts.body, self.body
+        if (
+            not own.length <= body.length <= own.length + 0.8
+            or not own.width <= body.width <= own.width + 0.57
+        ):
             raise ValueError(
-                f"the robot is {BODY_LENGTH} m long and {BODY_WIDTH} m wide: larger, up to 1.5 and 1.0 m, where it carries something"
+                f"body: the robot is {own.length} m long and {own.width} m wide: larger, up to {own.length + 0.8:.1f} and "
+                f"{own.width + 0.57:.1f} m, where it carries something"
             )
-        return body
+        if self.gate.fence_margin < own.length / 2:
+            raise ValueError(f"gate.fence_margin: the body reaches {own.length / 2} m ahead of base_link")
+        return self
+
+    @model_validator(mode="after")
+    def _of_the_robot(self) -> StackConfig:
+        robot = self.facts
+        if self.backend not in robot.backends:
+            raise ValueError(
+                f"backend: {robot.title} is driven by {', '.join(robot.backends)}, not by {self.backend}"
+            )
+        if self.controller not in robot.own:
+            raise ValueError(f"controller: {robot.title} has {', '.join(robot.own)}, not {self.controller!r}")
+        return self
 
     @model_validator(mode="after")
     def _safe_on_hardware(self) -> StackConfig:
@@ -222,6 +257,11 @@ class StackConfig(BaseModel):
                 f"{most:.2f} m/s"
             )
         return self
+
+    @property
+    def facts(self) -> Robot:
+        """What the robot is."""
+        return describe(self.robot_model)
 
     @property
     def simulated(self) -> bool:
@@ -273,32 +313,40 @@ class StackConfig(BaseModel):
         return (
             self.unitree_options().mounted()
             if not self.simulated
-            else tuple(lidar.mounted() for lidar in self.lidars)
+            else tuple(lidar.mounted() for lidar in self.facts.mounted(self.lidars))
         )
 
     def unitree_options(self) -> UnitreeConfig:
         """Settings of the real robot with the LiDARs it carries."""
-        return self.unitree.model_copy(update={"lidars": self.lidars})
+        return self.unitree.model_copy(update={"lidars": self.lidars, "robot_model": self.robot_model})
 
     def capabilities(self) -> Capabilities:
         """What the robot can do with its controller."""
         return (
-            CAPABILITIES[self.controller]
+            self.facts.capabilities(self.controller)
             if self.simulated
             else self.unitree_options().capabilities(self.controller)
         )
 
     def envelope(self) -> Envelope:
         """What its controller was measured to do. Raises EnvelopeError."""
-        return stored(self.controller if self.simulated else SPORT)
+        return stored(self._measured)
 
     def graph_params(self) -> GraphParams:
         """Settings of the graph; its limits are the robot's own, or tighter. Where a LiDAR in the head sees the ground
         at the feet, none around the start is taken for granted.
         """
-        params = self.graph.params(self.capabilities(), self.controller if self.simulated else SPORT)
-        head = any(lidar.name == "head" for lidar in self.lidars)
-        return params.model_copy(update={"blind_radius": 0.0}) if head else params
+        limbs = self.facts.limbs
+        wheels = {"axle": self.facts.body.axle, "tread": limbs.tread, "tread_width": limbs.tread_width}
+        head = {"blind_radius": 0.0} if any(lidar.name == "head" for lidar in self.lidars) else {}
+        params = self.graph.params(self.capabilities(), self._measured)
+        return params.model_copy(update=wheels | head)
+
+    @property
+    def _measured(self) -> str:
+        """Whose envelope counts, as `hal.envelope.stored` calls it."""
+        controller = self.controller if self.simulated else SPORT
+        return controller if self.robot_model == DEFAULT else f"{self.robot_model}/{controller}"
 
     def crossing(self) -> Crossing:
         """Which holes the robot crosses."""
@@ -315,10 +363,6 @@ class StackConfig(BaseModel):
         }
         return self.tracker.model_copy(update=limits)
 
-    def imu_mount(self) -> Extrinsics:
-        """Pose of the IMU in base_link."""
-        return Extrinsics(IMU_POSITION)
-
     def to_yaml(self) -> str:
         """As `--config` reads it."""
         text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
@@ -331,6 +375,7 @@ class StackConfig(BaseModel):
             "version": __version__,
             "commit": commit(),
             "robot": self.robot,
+            "robot_model": self.facts.title,
             "backend": self.backend,
             "scene": self.scene if self.simulated else "",
             "controller": self.controller if self.simulated or self.unitree.level == "low" else "",
@@ -346,10 +391,8 @@ def load(
     file: Path | None = None, sets: Iterable[str] = (), *, base: dict[str, Any] | None = None, **flags: Any
 ) -> StackConfig:
     """Merge the layers: `base`, then `file`, `sets`, `flags` (those that are None do not count). Raises ConfigError."""
-    values = StackConfig().model_dump(
-        mode="json"
-    )  # whole, or one key of a group would drop the others' defaults
-    _merge(values, base or {})
+    given: dict[str, Any] = {}
+    _merge(given, base or {})
     if file is not None:
         try:
             loaded = yaml_file.read(file)
@@ -359,17 +402,20 @@ def load(
             raise ConfigError(f"{file} is not YAML: {error}") from error
         if not isinstance(loaded, dict | None):
             raise ConfigError(f"{file} must hold `key: value` lines")
-        _merge(values, loaded or {})
+        _merge(given, loaded or {})
     for item in sets:
         key, sign, text = item.partition("=")
         if not sign or not key:
             raise ConfigError(f"--set wants a.b=c, got {item!r}")
         try:
-            _assign(values, key.split("."), yaml_file.parse(text))
+            _assign(given, key.split("."), yaml_file.parse(text))
         except YamlError as error:
             raise ConfigError(f"--set {key}: {text!r} is no value") from error
-    values |= {key: value for key, value in flags.items() if value is not None}
+    given |= {key: value for key, value in flags.items() if value is not None}
     try:
+        # Whole, or one key of a group would drop the others' defaults.
+        values = StackConfig(robot_model=given.get("robot_model", DEFAULT)).model_dump(mode="json")
+        _merge(values, given)
         return StackConfig.model_validate(values)
     except ValidationError as error:
         raise ConfigError(explain(error)) from error
@@ -402,6 +448,37 @@ def of_log(attached: bytes) -> tuple[dict[str, Any], list[str]]:
     return values, unknown
 
 
+def _facts(robot: Robot) -> dict[str, Any]:
+    """Of the configuration, what is a fact of the robot."""
+    body = robot.body
+    values: dict[str, Any] = {
+        "controller": robot.usual,
+        "lidars": robot.lidars,
+        "body": {"length": body.length, "width": body.width},
+        "graph": {"length": body.length, "width": body.width},
+        "gate": {"fence_margin": 0.5 * math.hypot(body.length, body.width)},
+        "odometry": {"inertial": {"imu_position": robot.imu.translation, "limbs": robot.limbs}},
+        "elevation": {"body_width": body.width},
+    }
+    _merge(values, robot.settings)
+    return values
+
+
+def _laid_under(facts: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+    """`values`, and of `facts` what they do not say."""
+    out = dict(values)
+    for key, fact in facts.items():
+        if key not in out:
+            out[key] = fact
+        elif isinstance(fact, dict):
+            given = out[key]
+            if isinstance(given, BaseModel):
+                given = {name: getattr(given, name) for name in given.model_fields_set}
+            if isinstance(given, dict):
+                out[key] = _laid_under(fact, given)
+    return out
+
+
 def _merge(values: dict[str, Any], over: dict[str, Any]) -> None:
     for key, value in over.items():
         if isinstance(value, dict) and isinstance(values.get(key), dict):
@@ -424,6 +501,8 @@ def explain(error: ValidationError) -> str:
     """One line: which key, what is wrong."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
+    if not key:  # of the configuration as a whole: the message names the key
+        return first["msg"].removeprefix("Value error, ")
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if key.startswith("network.listen."):
         return f"configuration key 'network.listen': {first['input']!r} is not tls/ADDRESS:PORT; nothing else is served{more}"

@@ -21,36 +21,40 @@ ROOMS: dict[str, str] = {
     "hal": "hal.safety.monitors",
     "hal.safety": "hal hal.safety.monitors hal.safety.slope",
     "hal.lidar": "hal",
-    "hal.locomotion": "hal",
-    "hal.scenes": "hal hal.lidar",
+    "hal.robots": "hal hal.lidar",
+    "hal.envelope": "hal hal.robots",
+    "hal.scenes": "hal hal.lidar hal.robots",
     "hal.postures": "hal",
-    "hal.mujoco": "hal hal.lidar hal.locomotion hal.scenes hal.postures",
-    "hal.mujoco.view": "hal hal.scenes hal.mujoco",
-    "hal.unitree": "hal hal.lidar hal.locomotion hal.postures hal.safety.monitors hal.safety.slope",
+    "hal.mujoco.robot": "hal hal.postures",
+    "hal.robots.go2w": "hal hal.robots hal.postures hal.mujoco.robot",
+    "hal.robots.jackal": "hal hal.robots hal.mujoco.robot",
+    "hal.mujoco": "hal hal.lidar hal.robots hal.scenes hal.postures hal.mujoco.robot",
+    "hal.mujoco.view": "hal hal.scenes hal.robots hal.mujoco",
+    "hal.unitree": "hal hal.lidar hal.robots hal.robots.go2w hal.postures hal.safety.monitors hal.safety.slope",
     "mapping": "hal",  # which says where numba keeps kernels
     "mapping.odometry.registration": "hal",
-    "mapping.odometry": "hal hal.safety.monitors mapping.odometry.registration",
+    "mapping.odometry": "hal hal.robots hal.safety.monitors mapping.odometry.registration",
     "mapping.relocalise": "hal mapping",
-    "mapping.elevation": "hal hal.lidar hal.safety.monitors hal.scenes mapping",
+    "mapping.elevation": "hal hal.robots hal.lidar hal.safety.monitors hal.scenes mapping",
     "mapping.closing": "hal mapping mapping.elevation mapping.relocalise",
     "planning": "hal",
-    "planning.graph": "hal mapping planning",
-    "planning.risk": "hal mapping planning planning.graph",
+    "planning.graph": "hal hal.envelope mapping planning",
+    "planning.risk": "hal hal.envelope mapping planning planning.graph",
     # turns are made, and a path backward ends, where the guard would let the robot and hold it: one rule
-    "planning.search": "hal hal.safety mapping planning planning.graph planning.risk",
+    "planning.search": "hal hal.envelope hal.safety mapping planning planning.graph planning.risk",
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "hal mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
     "planning.baselines.art": "mapping planning planning.search planning.baselines",
     "planning.tracking": "hal planning",
-    "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
+    "rbtrg_robot": "hal hal.envelope hal.robots hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
     "rbtrg_robot.wire": "hal hal.safety.monitors mapping mapping.elevation rbtrg_robot",
     "rbtrg_robot.access": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety hal.safety.monitors rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage rbtrg_robot.stages.navigation",
-    "rbtrg_robot.stages": "hal hal.safety hal.safety.monitors mapping mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines planning.graph planning.path "
+    "rbtrg_robot.stages": "hal hal.envelope hal.robots hal.safety hal.safety.monitors mapping mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines planning.graph planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.missions": "hal rbtrg_robot rbtrg_robot.stages.mission",
@@ -64,7 +68,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.hosts",
     "rbtrg_robot.console": "hal hal.safety mapping mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.access "
     "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
-    "rbtrg_robot.cli": "hal hal.locomotion hal.mujoco.view hal.scenes hal.unitree mapping.elevation planning.baselines rbtrg_robot "
+    "rbtrg_robot.cli": "hal hal.robots hal.mujoco.view hal.scenes hal.unitree mapping.elevation planning.baselines rbtrg_robot "
     "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts rbtrg_robot.process "
     "rbtrg_robot.console",
 }

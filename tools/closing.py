@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import STAND, stand_height
+from hal.robots.go2w.facts import STAND, stand_height
 from hal.rotation import quaternion, rotation_rpy
 from hal.scenes import Scene
 from hal.scenes.canvas import Canvas

@@ -17,8 +17,8 @@ from math import radians
 
 import numpy as np
 
-from hal.go2w import WHEEL_RADIUS, wheel_centres
 from hal.lidar.spec import LIDARS, LidarSpec
+from hal.robots.go2w.facts import WHEEL_RADIUS, wheel_centres
 from hal.rotation import rotation
 from hal.scenes import Scene
 from hal.scenes.survey import relief

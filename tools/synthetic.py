@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import MASS, WHEEL_RADIUS, wheel_jacobians
 from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS, LidarSpec
+from hal.robots.go2w.facts import MASS, WHEEL_RADIUS, wheel_jacobians
 from hal.scenes import Scene
 from hal.types import (
     GRAVITY,

@@ -12,7 +12,18 @@ from typing import Literal
 
 import numpy as np
 
-from hal.go2w import CALF, HIP_X, HIP_Y, IMU_POSITION, SX, SY, THIGH, THIGH_Y, TREAD_Y, WHEEL_RADIUS
+from hal.robots.go2w.facts import (
+    CALF,
+    HIP_X,
+    HIP_Y,
+    IMU_POSITION,
+    SX,
+    SY,
+    THIGH,
+    THIGH_Y,
+    TREAD_Y,
+    WHEEL_RADIUS,
+)
 from hal.rotation import rotation_rpy
 from hal.types import GRAVITY, Array
 
@@ -151,7 +162,7 @@ STANCE = np.stack([HIP_X * SX, (HIP_Y + THIGH_Y + TREAD_Y) * SY], axis=-1)
 def leg_angles(centres: Array) -> Array:
     """Joint angles (n, 12) [rad] that put the wheel centres at (n, 4, 3) [m], base_link, SDK order.
 
-    Inverse of `hal.go2w.wheel_centres` with the knee bent backwards. Raises ValueError out of reach.
+    Inverse of `hal.robots.go2w.facts.wheel_centres` with the knee bent backwards. Raises ValueError out of reach.
     """
     offset = (THIGH_Y + TREAD_Y) * SY
     x = centres[..., 0] - HIP_X * SX

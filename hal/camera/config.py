@@ -11,7 +11,7 @@ from hal.camera.camera import MountedCamera
 from hal.types import Extrinsics
 
 FRONT = Extrinsics((0.327, 0.0, 0.043))
-"""Lens in the head of a Go2 and Go2-W, level and straight ahead (the vendor's URDF, joint `front_camera_joint`)."""
+"""In the head of a trunk of 0.4 m, level and straight ahead, where the robot's description says no other place."""
 
 
 class CameraConfig(BaseModel):
@@ -33,7 +33,7 @@ class CameraConfig(BaseModel):
         math.radians(100.0),
         gt=0.2,
         lt=2.8,
-        description="horizontal field of view [rad]; the Go2's own: about 100 deg",
+        description="horizontal field of view [rad]",
     )
     rate: float = Field(5.0, gt=0.0, le=30.0, description="most frames a second [Hz]")
     always: bool | None = Field(

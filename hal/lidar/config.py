@@ -23,7 +23,8 @@ class LidarConfig(BaseModel):
     )
     model: Model = "xt16"
     mount: Extrinsics | None = Field(
-        default=None, description="pose in base_link [m, rad]; None: the model's usual mount"
+        default=None,
+        description="pose in base_link [m, rad]; None: where the robot usually carries this model",
     )
     topic: str = Field(
         default="", description="DDS topic of its PointCloud2 (unitree); empty takes the usual one"
@@ -44,10 +45,6 @@ class LidarConfig(BaseModel):
     def mounted(self) -> MountedLidar:
         """Name, model and the mount that holds."""
         return MountedLidar(self.name, self.model, self.mount or self.spec.mount)
-
-
-DEFAULT_LIDARS = (LidarConfig(name="main", model="xt16"), LidarConfig(name="head", model="l1"))
-"""An XT16 on the back and the L1 that every Go2-W has in its head."""
 
 
 def only(model: str, mount: Extrinsics | None = None) -> tuple[LidarConfig, ...]:

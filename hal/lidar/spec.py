@@ -1,4 +1,4 @@
-"""The LiDARs a Go2-W carries: scan pattern, limits and noise of each.
+"""The LiDARs: scan pattern, limits and noise of each.
 
 Directions are unit vectors in the `lidar` frame; times count from the start of a sweep. Datasheet values: Hesai
 XT16 manual (2000 azimuths x 16 channels at 10 Hz), Livox Mid-360 and Unitree L1 user manuals.
@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import L1_MOUNT, XT16_MOUNT
 from hal.types import NS, Extrinsics
 
 Kind = Literal["spinning", "rosette", "hemisphere"]
@@ -43,7 +42,7 @@ class LidarSpec:
     elevation: tuple[float, float]
     """Lowest and highest ray [rad] in the `lidar` frame."""
     mount: Extrinsics
-    """Usual pose on a Go2-W in `base_link`; the calibration of the robot at hand overrides it."""
+    """Pose in `base_link` where neither configuration nor robot says another one: on a trunk of 0.4 m."""
     min_range: float
     """[m]; nearer surfaces give no return."""
     max_range: float
@@ -153,7 +152,7 @@ LIDARS: dict[str, LidarSpec] = {
         rings=16,
         firings=2000,
         elevation=(radians(-15.0), radians(15.0)),
-        mount=XT16_MOUNT,
+        mount=Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, pi / 2)),
         min_range=0.05,
         max_range=80.0,
         range_sigma=0.01,
@@ -180,7 +179,8 @@ LIDARS: dict[str, LidarSpec] = {
         rings=1,
         firings=2160,
         elevation=(0.0, 0.5 * pi),
-        mount=L1_MOUNT,
+        # It looks forward-down, upside down.
+        mount=Extrinsics((0.28945, 0.0, -0.046825), (0.0, 2.8782, 0.0)),
         min_range=0.05,
         max_range=20.0,
         range_sigma=0.02,

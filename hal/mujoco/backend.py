@@ -1,4 +1,4 @@
-"""The Go2-W in MuJoCo behind the contract of `hal.contract`: sensors, modes, commands, faults. Same seed, same bytes."""
+"""A robot in MuJoCo behind the contract of `hal.contract`: sensors, modes, commands, faults. Same seed, same bytes."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from hal import go2w
 from hal.contract import BackendError
 from hal.lidar.caster import OrientedBox, TerrainCaster
-from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
+from hal.lidar.config import LidarConfig
 from hal.lidar.simulator import LidarSimulator
-from hal.locomotion.controllers import controller_of
-from hal.lowlevel import Controller
-from hal.mujoco.config import CAPABILITIES, Obstacle, Push, SimConfig
+from hal.lowlevel import Locomotion
+from hal.mujoco.config import Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.people import SIZE, People
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
 from hal.postures.modes import Modes
+from hal.robots import Robot, describe
 from hal.rotation import up_of
 from hal.scenes import Scene
 from hal.types import (
@@ -55,17 +54,20 @@ class MujocoBackend:
         scene: Scene,
         config: SimConfig | None = None,
         *,
-        controller: Controller = "vmc",
+        robot: Robot | None = None,
+        controller: str = "vmc",
         policy_dir: str = "",
-        lidars: tuple[LidarConfig, ...] = DEFAULT_LIDARS,
+        lidars: tuple[LidarConfig, ...] | None = None,
         seed: int = 0,
         start: tuple[float, float, float] | None = None,
         start_time: int = 0,
         **changes: Any,
     ) -> None:
         """
+        robot: what it is; None takes the default one
+        controller: of those in its description
         policy_dir: folder of a policy in rl_sar's layout, or a file of `tools.train`; of the controllers that learnt
-        lidars: empty for none (physics only, faster)
+        lidars: empty for none (physics only, faster); None for those it is delivered with
         seed: of everything random here
         start: x, y [m], yaw [rad]; None for the scene's
         start_time: source clock at connect [ns]
@@ -75,6 +77,8 @@ class MujocoBackend:
         if changes:
             self.config = o = SimConfig.model_validate({**o.model_dump(), **changes})
         self.scene = scene
+        robot = robot or describe()
+        lidars = robot.mounted(robot.lidars if lidars is None else lidars)
         self.start_time = start_time
         self._start, self._seed = start, seed
         self._fitted = lidars
@@ -82,7 +86,13 @@ class MujocoBackend:
         self._imu_delay, self._joint_delay = round(o.imu_delay * NS), round(o.joint_delay * NS)
         self._lidar_delay = round(o.lidar_delay * NS)
         period = o.timestep * max(1, round(CONTROL_PERIOD / o.timestep))
-        self.controller = controller_of(controller, policy_dir, period)
+        model = robot.load(robot.simulated)
+        self.capabilities = replace(
+            robot.capabilities(controller),
+            name=f"{robot.name}-mujoco-{controller}",
+            lidars=tuple(lidar.mounted() for lidar in lidars),
+        )
+        self.controller: Locomotion = model.controller(controller, policy_dir, period)
         self._control_steps = max(1, round(self.controller.period * NS / self._dt))
         draw = np.random.default_rng(np.random.SeedSequence([seed, 0xF12]))
         self.friction = (
@@ -96,12 +106,12 @@ class MujocoBackend:
             timestep=o.timestep,
             payload=o.payload,
             command_delay=o.command_delay,
+            robot=model,
             boxes=(*(box.size for box in o.obstacles), *[SIZE] * o.people),
         )
-        mounted = tuple(lidar.mounted() for lidar in lidars)
-        self.capabilities = replace(CAPABILITIES[controller], lidars=mounted)
         self._caster = scene.caster() if lidars else None
-        self._modes = Modes(self.controller)
+        self._modes = Modes(self.controller, model.legs)
+        self._limbs = model.limbs
         self._connected = False
         self._state = RobotState(start_time, Phase.DISCONNECTED, self._modes.cause, o.battery)
 
@@ -115,7 +125,8 @@ class MujocoBackend:
                 f"start ({x:.2f}, {y:.2f}) lies outside scene {self.scene.name}: choose another start",
                 retry=False,
             )
-        self.simulation.reset(x, y, yaw, q=go2w.FOLDED if o.seated else None)
+        legs = self.simulation.robot.legs
+        self.simulation.reset(x, y, yaw, q=None if legs is None or not o.seated else legs.seat)
         self._steps = 0
         self._ran = 0
         self._sensors = Sensors(self._seed, o.noise)
@@ -243,7 +254,7 @@ class MujocoBackend:
         phase, cause = self._modes.phase, self._modes.cause
         if elapsed >= self._state_due or phase is not self._state.phase or cause != self._state.cause:
             self._state_due = elapsed - elapsed % STATE_PERIOD + STATE_PERIOD
-            load = wheel_loads(self._low.q, self._low.tau, np.array(up_of(self._low.quaternion)))
+            load = wheel_loads(self._limbs, self._low.q, self._low.tau, np.array(up_of(self._low.quaternion)))
             fr, fl, rr, rl = (load > CONTACT_FORCE).tolist()
             self._contact = fr, fl, rr, rl
             temperature = 30.0 + 10.0 * min(elapsed / NS / 1800.0, 1.0)
@@ -293,4 +304,4 @@ class MujocoBackend:
             lidar.set_boxes([*seen, *people])
 
 
-__all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimConfig"]
+__all__ = ["MujocoBackend", "Obstacle", "Push", "SimConfig"]

@@ -2,19 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.dataclasses import dataclass
-
-from hal.locomotion.abilities import ABILITIES
-from hal.lowlevel import Controller
-from hal.types import Capabilities
-
-CAPABILITIES: dict[Controller, Capabilities] = {
-    name: replace(able, name=f"go2w-mujoco-{name}") for name, able in ABILITIES.items()
-}
-"""Capabilities of the simulated robot, per controller."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

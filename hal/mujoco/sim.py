@@ -10,10 +10,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hal import go2w
+from hal.limbs import LEGS, MOTORS, WHEELS, wheel_centres
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.contacts import ContactReader, Contacts
 from hal.mujoco.model import HIDDEN, build
+from hal.mujoco.robot import Simulated
+from hal.robots import simulated
 from hal.types import Array
 
 log = logging.getLogger(__name__)
@@ -33,12 +35,12 @@ _BAD = [
 ]
 
 
-def stand_command(q: Array | None = None, kp: float = STAND_KP) -> LowCommand:
-    """Hold the leg pose `q` (16,) [rad] (default `go2w.STAND`) with braked wheels and stiffness `kp` [Nm/rad]."""
+def stand_command(q: Array, kp: float = STAND_KP) -> LowCommand:
+    """Hold the leg pose `q` (16,) [rad] with braked wheels and stiffness `kp` [Nm/rad]."""
     stiffness = np.full(16, kp)
-    stiffness[go2w.WHEELS] = 0.0
+    stiffness[WHEELS] = 0.0
     return LowCommand(
-        q=np.array(go2w.STAND if q is None else q),
+        q=np.array(q),
         dq=np.zeros(16),
         tau=np.zeros(16),
         kp=stiffness,
@@ -47,7 +49,7 @@ def stand_command(q: Array | None = None, kp: float = STAND_KP) -> LowCommand:
 
 
 class Simulation:
-    """Go2-W on a heightfield.
+    """A robot on a heightfield.
 
     Motors follow hal.lowlevel's torque law with the damping integrated implicitly; torque is cut at the speed limit.
     `command_delay` [s] holds every LowCommand back before it reaches the motors (a multiple of `timestep`).
@@ -64,9 +66,13 @@ class Simulation:
         command_delay: float = 0.0,
         boxes: Sequence[tuple[float, float, float]] = (),
         housings: bool = True,
+        robot: Simulated | None = None,
     ) -> None:
+        """robot: None takes the default one."""
         # By default MuJoCo writes its warnings, of all simulations of a process, to a file in the working directory.
         mujoco.set_mju_user_warning(log.warning)
+        self.robot: Simulated = robot or simulated()
+        self._limbs = self.robot.limbs
         self.height = np.ascontiguousarray(height, np.float32)
         self.resolution = float(resolution)
         self.origin = (float(origin[0]), float(origin[1]))
@@ -75,6 +81,7 @@ class Simulation:
             self.height,
             self.resolution,
             self.origin,
+            self.robot,
             friction=friction,
             timestep=timestep,
             payload=payload,
@@ -85,11 +92,18 @@ class Simulation:
         self._delay = round(command_delay / timestep)
         self._pending: deque[tuple[int, LowCommand]] = deque()
         self._steps = 0
-        joint = [self.model.joint(name) for name in go2w.MOTORS]
+        actuators = [self.model.actuator(k).name for k in range(self.model.nu)]
+        joint = [self.model.joint(name) for name in actuators]
+        self._has = (
+            slice(None) if tuple(actuators) == MOTORS else np.array([MOTORS.index(a) for a in actuators])
+        )
+        """Which of the joints of `MOTORS` it has, in the order of the model's actuators."""
         self._qadr = np.array([j.qposadr[0] for j in joint])
         self._vadr = np.array([j.dofadr[0] for j in joint])
+        self._fastest = self.robot.speed_limit[self._has]
+        self._strongest = self.robot.torque_limit[self._has]
         self._base = self.model.body("base_link").id
-        self._wheel_geoms = np.array([self.model.geom(f"{leg}_wheel").id for leg in go2w.LEGS])
+        self._wheel_geoms = np.array([self.model.geom(f"{leg}_wheel").id for leg in LEGS])
         self._contacts = ContactReader(self.model, self.data, self._base)
         # Views into MuJoCo's own memory: fetching them through the bindings costs more than using them.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
@@ -147,13 +161,21 @@ class Simulation:
         """Exact state; `accel` and `tau` are those of the last physics step."""
         return LowState(
             time=float(self.data.time),
-            q=self._qpos.take(self._qadr),
-            dq=self._qvel.take(self._vadr),
-            tau=self._force.copy(),
+            q=self._all(self._qpos.take(self._qadr)),
+            dq=self._all(self._qvel.take(self._vadr)),
+            tau=self._all(self._force.copy()),
             quaternion=self._qpos[3:7].copy(),
             gyro=self._qvel[3:6].copy(),
             accel=self._accel.copy(),
         )
+
+    def _all(self, values: Array) -> Array:
+        """(16,) with those (n,) of the joints that the robot has; the others are zero."""
+        if len(values) == len(MOTORS):
+            return values
+        out = np.zeros(len(MOTORS))
+        out[self._has] = values
+        return out
 
     def contacts(self) -> Contacts:
         """Everything that touches the robot."""
@@ -193,27 +215,28 @@ class Simulation:
         self._pending.clear()
         self._steps = 0
         self._push_until = -1
-        feet = go2w.wheel_centres(go2w.STAND if q is None else np.asarray(q, np.float64))
+        legs = self.robot.legs
+        feet = wheel_centres(self._limbs, self.robot.stand if q is None else np.asarray(q, np.float64))
         c, s = np.cos(yaw), np.sin(yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         # Height of each tread centre when its wheel just touches the ground below.
         spots = feet @ turn.T + np.array([x, y, 0.0])
         axle = np.array([self._touching(px, py, c, s) for px, py, _ in spots])
         quat = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
-        if q is None:
+        if q is None and legs is not None:
             # The mean leg stays as long as in the default stand, unless one would have to be longer than it can.
             trunk = min(axle.mean() - feet[:, 2].mean(), axle.min() + LONGEST_LEG)
-            pose = go2w.leg_angles(np.column_stack([feet[:, :2], np.minimum(axle - trunk, -SHORTEST_LEG)]))
+            pose = legs.angles(np.column_stack([feet[:, :2], np.minimum(axle - trunk, -SHORTEST_LEG)]))
         else:
-            pose = np.array(q, np.float64)
+            pose = np.array(self.robot.stand if q is None else q, np.float64)
             slope = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(4)]), axle, rcond=None)[0]
             tilt = np.array([yaw, -np.arctan(slope[0]), np.arctan(slope[1] / np.hypot(1.0, slope[0]))])
             mujoco.mju_euler2Quat(quat, tilt, "zyx")
             trunk = 0.0
         self._qpos[:3] = x, y, trunk
         self._qpos[3:7] = quat
-        self._qpos[self._qadr] = pose
-        centres = go2w.wheel_centres(pose) @ self.rotation.T + np.array([x, y, trunk])
+        self._qpos[self._qadr] = pose[self._has]
+        centres = wheel_centres(self._limbs, pose) @ self.rotation.T + np.array([x, y, trunk])
         self._qpos[2] += max(self._touching(px, py, c, s) - pz for px, py, pz in centres) + 0.003
         self._set_now(stand_command(pose, kp=SETTLE_KP))
         mujoco.mj_forward(self.model, self.data)
@@ -237,8 +260,9 @@ class Simulation:
 
     def _touching(self, x: float, y: float, c: float, s: float) -> float:
         """Height [m] of the centre of a wheel at x, y with heading (c, s) that rests on the ground."""
-        along = np.linspace(-go2w.WHEEL_RADIUS, go2w.WHEEL_RADIUS, 9)
-        arc = np.sqrt(go2w.WHEEL_RADIUS**2 - along**2)
+        radius = self._limbs.radius
+        along = np.linspace(-radius, radius, 9)
+        arc = np.sqrt(radius**2 - along**2)
         return max(
             self.ground(x + c * d, y + s * d) + r for d, r in zip(along.tolist(), arc.tolist(), strict=True)
         )
@@ -274,20 +298,21 @@ class Simulation:
             self._steps += 1
 
     def _set_now(self, command: LowCommand) -> None:
-        np.add(command.tau + command.kp * command.q, command.kd * command.dq, out=self._ctrl)
-        np.negative(command.kp, out=self._stiffness)
-        np.negative(command.kd, out=self._damping)
+        has = self._has
+        np.add((command.tau + command.kp * command.q)[has], (command.kd * command.dq)[has], out=self._ctrl)
+        np.negative(command.kp[has], out=self._stiffness)
+        np.negative(command.kd[has], out=self._damping)
 
     def _cut_at_speed_limit(self) -> None:
         """A motor at its top speed can still brake, but not push further."""
         dq = self._qvel.take(self._vadr)
-        fast = np.abs(dq) >= go2w.SPEED_LIMIT
+        fast = np.abs(dq) >= self._fastest
+        limit = self._strongest
         if np.count_nonzero(fast):
-            limit = go2w.TORQUE_LIMIT
             self._range[:, 0] = np.where(fast & (dq < 0), 0.0, -limit)
             self._range[:, 1] = np.where(fast & (dq > 0), 0.0, limit)
             self._limited = True
         elif self._limited:
-            self._range[:, 0] = -go2w.TORQUE_LIMIT
-            self._range[:, 1] = go2w.TORQUE_LIMIT
+            self._range[:, 0] = -limit
+            self._range[:, 1] = limit
             self._limited = False

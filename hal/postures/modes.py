@@ -17,11 +17,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hal import go2w
 from hal.contract import fulfilled, refusal
+from hal.limbs import WHEELS
 from hal.lowlevel import Locomotion, LowCommand, LowState
+from hal.postures.legs import UPRIGHT, Legs, Righting
 from hal.postures.motion import Keyframe, Motion, damped, level_stance
-from hal.postures.righting import UPRIGHT, Righting
 from hal.rotation import up_of
 from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
 
@@ -33,8 +33,6 @@ SIT_TIMEOUT = 6.0
 """[s] from the request to seated."""
 FOLDED_WITHIN = 0.35
 """[rad] of every leg joint from the folded pose counts as lying; 0.08 on level ground and on slopes."""
-TALL = 0.25
-"""Mean height [m] of base_link above the wheels' lowest points that counts as standing; folded it is 0.17, in stance 0.39."""
 STANCE_TIME = 0.5
 """[s] the controller holds the stance before the robot counts as ready."""
 FALLEN_UP = 0.5
@@ -43,15 +41,18 @@ FALLEN_TIME = 0.15
 """... when it lasts this long [s]."""
 STEADY_SPEED = 0.35
 """Wheel speed [rad/s] below which the robot counts as standing still."""
+BRAKE = 8.0
+"""[Nms/rad] of the wheels of a robot without legs that sits."""
 MOVING_TIME = 0.5
 """Phase `moving` ends this long [s] after the last command that was not zero."""
 
 
 class Modes:
-    """The state machine of the simulated robot's postures. Call `step` once per control tick."""
+    """The state machine of a robot's postures. Call `step` once per control tick."""
 
-    def __init__(self, controller: Locomotion) -> None:
-        self._controller = controller
+    def __init__(self, controller: Locomotion, legs: Legs | None) -> None:
+        """legs: None of a robot whose wheels sit on its body: it sits and stands alike."""
+        self._controller, self._legs = controller, legs
         self.phase = Phase.DISCONNECTED
         self.cause = "not connected"
         self._velocity = VelocityCommand(0)
@@ -64,7 +65,7 @@ class Modes:
         self._tilted_since: float | None = None
         self._moved = -np.inf
         self._doing = ""
-        self._damped = damped()
+        self._damped, self._braked = damped(), damped(kd=BRAKE)
         self._pending: ModeRequest | None = None
         self._recover_until = -np.inf
 
@@ -94,7 +95,8 @@ class Modes:
         self._tilted_since = None
         if seated:
             self._enter(Phase.SITTING, "connected, seated", self._hold_seat)
-            self._motion = Motion(state, [Keyframe(0.5, go2w.FOLDED)], kp=40.0)
+            if self._legs is not None:
+                self._motion = Motion(state, [Keyframe(0.5, self._legs.seat)], kp=40.0)
         else:
             self._take_stance(state, "connected, taking its stance", state.time + STAND_TIMEOUT)
 
@@ -145,8 +147,11 @@ class Modes:
                 self._turn_over(state, "recover requested: turning onto its belly")
 
     def _turn_over(self, state: LowState, cause: str) -> None:
+        if self._legs is None or self._legs.righting is None:
+            self.fault("fallen: it cannot turn itself over; put it on its wheels, then request recover")
+            return
         self._enter(Phase.STANDING, cause, self._right)
-        self._righting = Righting(state, self._recover_until)
+        self._righting = self._legs.righting(state, self._recover_until)
 
     def _watch_fall(self, state: LowState) -> None:
         if (
@@ -169,22 +174,27 @@ class Modes:
         return self._damped
 
     def _hold_seat(self, state: LowState) -> LowCommand:
-        assert self._motion is not None
-        return self._motion.step(state.time)
+        return self._braked if self._motion is None else self._motion.step(state.time)
 
     def _stop_to_sit(self, state: LowState) -> LowCommand:
         """Brake first: a robot that folds its legs at speed tips over."""
-        steady = np.abs(state.dq[go2w.WHEELS]).max() < STEADY_SPEED
+        steady = np.abs(state.dq[WHEELS]).max() < STEADY_SPEED
+        if (steady or state.time > self._deadline - SIT_TIMEOUT / 2) and self._legs is None:
+            self._enter(Phase.SITTING, "seated", self._hold_seat)
+            return self._braked
         if steady or state.time > self._deadline - SIT_TIMEOUT / 2:
             self._enter(Phase.SITTING, "sit requested: folding its legs", self._fold)
-            self._motion = Motion(state, [Keyframe(2.0, self._folded(state))], kp=120.0)
+            self._motion = Motion(state, [Keyframe(2.0, self._folded(state.q))], kp=120.0)
             self._deadline = state.time + SIT_TIMEOUT / 2
             return self._motion.step(state.time)
         return self._controller.step(state, VelocityCommand(self._velocity.stamp), self._posture)
 
     def _fold(self, state: LowState) -> LowCommand:
         assert self._motion is not None
-        if np.abs(state.q[:12] - go2w.FOLDED[:12]).max() < FOLDED_WITHIN and self._motion.done(state.time):
+        assert self._legs is not None
+        if np.abs(state.q[:12] - self._legs.seat[:12]).max() < FOLDED_WITHIN and self._motion.done(
+            state.time
+        ):
             self.cause = "seated"
             self._act = self._hold_seat
         elif state.time > self._deadline:
@@ -192,29 +202,34 @@ class Modes:
             return self._damped
         return self._motion.step(state.time)
 
-    @staticmethod
-    def _folded(state: LowState) -> Array:
-        """FOLDED with the wheels where they have turned to."""
-        q = go2w.FOLDED.copy()
-        q[go2w.WHEELS] = state.q[go2w.WHEELS]
+    def _folded(self, turned: Array) -> Array:
+        """The seat with the wheels where they have `turned` to (16,)."""
+        assert self._legs is not None
+        q = self._legs.seat.copy()
+        q[WHEELS] = turned[WHEELS]
         return q
 
     def _get_up(self, state: LowState, cause: str, deadline: float | None = None) -> None:
+        deadline = state.time + STAND_TIMEOUT if deadline is None else deadline
+        if self._legs is None:
+            self._take_stance(state, cause, deadline)
+            return
         self._enter(Phase.STANDING, cause, self._stretch)
-        frames = [Keyframe(1.0, go2w.FOLDED), Keyframe(0.2, go2w.FOLDED)]
+        frames = [Keyframe(1.0, self._legs.seat), Keyframe(0.2, self._legs.seat)]
         self._motion = Motion(state, frames, kp=120.0)
         self._stretching = False
-        self._deadline = state.time + STAND_TIMEOUT if deadline is None else deadline
+        self._deadline = deadline
 
     def _stretch(self, state: LowState) -> LowCommand:
         assert self._motion is not None
+        assert self._legs is not None
         if self._motion.done(state.time):
             if self._stretching:
                 self._take_stance(state, self.cause, self._deadline)
                 return self._act(state)
             # Folded and on the ground: its slope is known now.
             self._stretching = True
-            self._motion = Motion(state, [Keyframe(1.5, level_stance(state))], kp=150.0)
+            self._motion = Motion(state, [Keyframe(1.5, level_stance(self._legs, state))], kp=150.0)
         return self._motion.step(state.time)
 
     def _take_stance(self, state: LowState, cause: str, deadline: float) -> None:
@@ -225,9 +240,9 @@ class Modes:
 
     def _stance(self, state: LowState) -> LowCommand:
         steady = (
-            np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED
+            np.abs(state.dq[WHEELS]).max() < 2 * STEADY_SPEED
             and up_of(state.quaternion)[2] > 0.8
-            and tall(state)
+            and (self._legs is None or self._legs.stretched(state.q))
         )
         if not steady:
             self._stance_since = state.time
@@ -265,8 +280,3 @@ class Modes:
         elif self._righting.failed:
             self.fault("fallen: it could not turn itself over; put it on its wheels, then request recover")
         return command
-
-
-def tall(state: LowState) -> bool:
-    """Whether the legs are stretched enough to stand."""
-    return go2w.WHEEL_RADIUS - float(go2w.wheel_centres(state.q)[:, 2].mean()) > TALL

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hal import go2w
+from hal.limbs import WHEELS, wheel_centres
 from hal.lowlevel import LowCommand, LowState
+from hal.postures.legs import Legs
 from hal.rotation import up_of
 from hal.types import Array
 
@@ -34,9 +35,9 @@ class Motion:
         self._times = state.time + np.cumsum([0.0, *(f.duration for f in frames)])
         self._poses = [state.q.copy(), *(f.q for f in frames)]
         self._tau = state.tau.copy()
-        self._tau[go2w.WHEELS] = 0.0
+        self._tau[WHEELS] = 0.0
         stiffness = np.full(16, kp)
-        stiffness[go2w.WHEELS] = 0.0
+        stiffness[WHEELS] = 0.0
         self._command = LowCommand(state.q.copy(), np.zeros(16), np.zeros(16), stiffness, np.full(16, kd))
 
     def done(self, time: float) -> bool:
@@ -59,12 +60,12 @@ def damped(kd: float = 3.0) -> LowCommand:
     return LowCommand(zero, zero.copy(), zero.copy(), zero.copy(), np.full(16, kd))
 
 
-def level_stance(state: LowState, height: float = 0.33) -> Array:
+def level_stance(legs: Legs, state: LowState, height: float = 0.33) -> Array:
     """(16,) joint angles of a level trunk `height` [m] above ground that is parallel to the trunk now (it lies on it)."""
     up = np.array(up_of(state.quaternion))
-    centres = go2w.wheel_centres(go2w.STAND)
+    centres = wheel_centres(legs.limbs, legs.stand)
     # Seen from the level trunk the ground falls away along the horizontal part of the trunk's up axis.
     slope = -up[:2] / max(up[2], 0.5)
-    centres[:, 2] = -(height - go2w.WHEEL_RADIUS) - centres[:, :2] @ slope
+    centres[:, 2] = -(height - legs.limbs.radius) - centres[:, :2] @ slope
     centres[:, 2] = np.clip(centres[:, 2], -0.36, -0.13)
-    return go2w.leg_angles(centres)
+    return legs.angles(centres)

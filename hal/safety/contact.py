@@ -13,8 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
-from hal.safety.swept import BODY, NOISE, Body, Stand, Surroundings
+from hal.safety.swept import NOISE, Body, Stand, Surroundings
 from hal.types import Capabilities
 
 DEEPEST = 0.12
@@ -28,6 +27,8 @@ WALL = 0.9
 class Contact(NamedTuple):
     """The body is in a wall, or NEAR it."""
 
+    whole: Body
+    """The body."""
     clear: Body
     """How far a body may reach, at most by NEAR beyond the true one, to be in no wall."""
     flat: tuple[bool, bool]
@@ -38,14 +39,14 @@ class Contact(NamedTuple):
     @property
     def body(self) -> Body:
         """The part of the body that is in no wall."""
-        return Body(*map(min, self.clear, BODY))
+        return Body(*map(min, self.clear, self.whole))
 
     def between(self, by: float) -> Body:
         """The body less what of its sides is in a wall, and `by` [m] more on a side along which there is one."""
         left, right = (
             end - (by if flat else 0.0) for end, flat in zip(self.body[2:], self.flat, strict=True)
         )
-        return Body(BODY.front, BODY.back, left, right)
+        return Body(self.whole.front, self.whole.back, left, right)
 
 
 def contact_at(
@@ -56,11 +57,12 @@ def contact_at(
     place = (*around.origin, around.resolution, float(pose[0]), float(pose[1]), float(pose[2]))
     limit = robot.max_step + NOISE
     face = limit + 2.0 * around.resolution * math.tan(robot.max_slope)  # a step on the steepest slope
-    ends, flat = ends_clear_of(around.height, *place, stand, limit, face, wall)
+    whole = Body.of(robot)
+    ends, flat = ends_clear_of(around.height, *place, stand, limit, face, wall, whole.front, whole.left)
     if not wall.any():
         return None
     grow_wall(around.height, *place, stand, limit, wall)
-    return Contact(Body(*ends), flat, wall)
+    return Contact(whole, Body(*ends), flat, wall)
 
 
 @njit(cache=True)
@@ -92,9 +94,9 @@ def is_face(height, row, col, limit):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def ends_clear_of(
-    height, x0, y0, resolution, x, y, yaw, stand, limit, face, wall
+    height, x0, y0, resolution, x, y, yaw, stand, limit, face, wall, length, width
 ):  # pragma: no cover - compiled
-    """How far a body that is larger by NEAR reaches to the front, back, left and right [m] if what is in a wall is left out: what is higher than
+    """How far a body of half the `length` and half the `width` [m] that is larger by NEAR reaches to the front, back, left and right [m] if what is in a wall is left out: what is higher than
     `limit` [m] above the plane that it stands on, and rises by more than `face` [m] within two cells. Sets `wall` (rows, cols) to 1 in the cells of walls that it is in. Second whether
     walls are along its left and along its right side.
     """
@@ -102,7 +104,7 @@ def ends_clear_of(
     c, s = math.cos(yaw), math.sin(yaw)
     ahead, behind = np.zeros(2), np.zeros(2)  # farthest along, on the left and on the right
     half = 0.5 * resolution * (abs(c) + abs(s))
-    front, left = BODY_LENGTH / 2 + NEAR, BODY_WIDTH / 2 + NEAR
+    front, left = length + NEAR, width + NEAR
     back, right = front, left
     reach = math.ceil(math.hypot(front, left) / resolution)
     col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
@@ -114,7 +116,7 @@ def ends_clear_of(
                 u, v = c * dx + s * dy, c * dy - s * dx
                 along = (front - u if u > 0.0 else back + u) + half
                 across = (left - v if v > 0.0 else right + v) + half
-                deep = BODY_LENGTH / 2 - abs(u) + half, BODY_WIDTH / 2 - abs(v) + half
+                deep = length - abs(u) + half, width - abs(v) + half
                 if not -NEAR < min(deep) <= DEEPEST or (max(deep) <= DEEPEST) != (corners == 1):
                     continue
                 if not height[r, k] - (stand[0] + stand[1] * u + stand[2] * v) > limit:
@@ -136,7 +138,7 @@ def ends_clear_of(
                     left = v - half
                 else:
                     right = -v - half
-    ends = np.minimum(ahead, behind) > BODY_LENGTH / 4
+    ends = np.minimum(ahead, behind) > 0.5 * length
     return (front, back, left, right), (ends[0], ends[1])
 
 

@@ -315,8 +315,9 @@ class SafetyGate:
         assert target is not None
         wanted, speed = math.hypot(target.vx, target.vy), math.hypot(out.vx, out.vy)
         course = math.atan2(target.vy, target.vx)
-        most, ahead = self.geofence.speed(pose, wanted, course, p.fence_margin, p.fence_horizon)
-        turn, beside = self.geofence.turn(pose, target.wz, p.fence_horizon)
+        size = self.capabilities.length, self.capabilities.width
+        most, ahead = self.geofence.speed(pose, wanted, course, p.fence_margin, p.fence_horizon, size[1])
+        turn, beside = self.geofence.turn(pose, target.wz, p.fence_horizon, size)
         share = most / speed if speed > most else 1.0
         wz = math.copysign(min(abs(out.wz), abs(turn)), out.wz)
         self._output = VelocityCommand(out.stamp, share * out.vx, share * out.vy, wz)

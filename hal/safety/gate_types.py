@@ -9,7 +9,6 @@ from enum import StrEnum
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.types import RobotState
 
 # Bounds: from below a few periods of what is watched, or it would trip on a healthy robot; from above what the robot may do meanwhile at 1 m/s:
@@ -70,8 +69,8 @@ class GateConfig(BaseModel):
         default=1.0, ge=0.3, le=2.0, description="[s] in which a moving robot comes to rest"
     )
     fence_margin: float = Field(
-        default=0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH),
-        ge=0.5 * BODY_LENGTH,
+        default=0.5 * math.hypot(0.70, 0.43),
+        ge=0.2,
         le=2.0,
         description="[m] from base_link to what must stay inside, along the motion",
     )

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from hal.errors import OperatorError
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
 
 
 class GeofenceError(OperatorError):
@@ -16,6 +15,8 @@ class GeofenceError(OperatorError):
 
 Corner = tuple[float, float]
 Side = tuple[Corner, Corner]
+Size = tuple[float, float]
+"""Length and width of the body [m]."""
 Pose = tuple[float, float, float]
 """x, y [m], yaw [rad] in `map`."""
 BESIDE = 0.05
@@ -122,17 +123,17 @@ class Geofence:
             previous_x, previous_y = corner_x, corner_y
         return -nearest if inside else nearest
 
-    def free(self, pose: Pose, course: float, margin: float, most: float) -> float:
-        """How far [m], up to `most`, the body may move in direction `course` [rad, base_link] with what lies `margin`
+    def free(self, pose: Pose, course: float, margin: float, most: float, width: float) -> float:
+        """How far [m], up to `most`, the body, `width` [m] wide, may move in direction `course` [rad, base_link] with what lies `margin`
         [m] ahead of base_link. One that is over a side already may move where it comes no deeper."""
         x, y, yaw = pose
         here = self.breach(x, y)
-        if here < -(margin + most + BODY_WIDTH):  # no side is near
+        if here < -(margin + most + width):  # no side is near
             return most
         c, s = math.cos(yaw + course), math.sin(yaw + course)
         free = 0.0 if here > 0.0 else most
         for (x0, y0), (x1, y1) in self._sides():
-            across = 0.5 * BODY_WIDTH + BESIDE
+            across = 0.5 * width + BESIDE
             a, b = (
                 (c * (x0 - x) + s * (y0 - y), c * (y0 - y) - s * (x0 - x)),
                 (c * (x1 - x) + s * (y1 - y), c * (y1 - y) - s * (x1 - x)),
@@ -145,27 +146,27 @@ class Geofence:
         ways = (self.breach(x + k / STEPS * most * c, y + k / STEPS * most * s) for k in range(1, STEPS + 1))
         return most if all(way <= here + (SAME if here <= 0.0 else -SAME) for way in ways) else 0.0
 
-    def free_turn(self, pose: Pose, most: float) -> float:
-        """How far [rad] of the turn `most`, to the left or, negative, to the right, leaves the body on the right side.
+    def free_turn(self, pose: Pose, most: float, size: Size) -> float:
+        """How far [rad] of the turn `most`, to the left or, negative, to the right, leaves the body of `size` on the right side.
         A body that is over a side already may turn where it comes no deeper."""
         x, y, yaw = pose
-        if not most or self.breach(x, y) < -0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH):
+        if not most or self.breach(x, y) < -0.5 * math.hypot(*size):
             return most
-        here = self._room((x, y, yaw))
+        here = self._room((x, y, yaw), size)
         for k in range(1, STEPS + 1):
-            if self._room((x, y, yaw + k / STEPS * most)) < min(1.0, here - 1e-6):
+            if self._room((x, y, yaw + k / STEPS * most), size) < min(1.0, here - 1e-6):
                 return (k - 1) / STEPS * most
         return most
 
-    def _room(self, pose: Pose) -> float:
+    def _room(self, pose: Pose, size: Size) -> float:
         """By what the body could be scaled until it met a side; negative where its middle is on the wrong side."""
-        x, y, yaw = pose
+        (x, y, yaw), (length, width) = pose, size
         c, s = 2.0 * math.cos(yaw), 2.0 * math.sin(yaw)
         room = math.inf
         for (x0, y0), (x1, y1) in self._sides():
             # in half bodies: the body is the square from -1 to 1
-            a = (c * (x0 - x) + s * (y0 - y)) / BODY_LENGTH, (c * (y0 - y) - s * (x0 - x)) / BODY_WIDTH
-            b = (c * (x1 - x) + s * (y1 - y)) / BODY_LENGTH, (c * (y1 - y) - s * (x1 - x)) / BODY_WIDTH
+            a = (c * (x0 - x) + s * (y0 - y)) / length, (c * (y0 - y) - s * (x0 - x)) / width
+            b = (c * (x1 - x) + s * (y1 - y)) / length, (c * (y1 - y) - s * (x1 - x)) / width
             u, v = b[0] - a[0], b[1] - a[1]
             # max(|x|, |y|) along a side is least at an end, on an axis, or where both are as large
             for up, down in (
@@ -224,7 +225,7 @@ class Fence:
         )
 
     def speed(
-        self, pose: Pose, speed: float, course: float, margin: float, horizon: float
+        self, pose: Pose, speed: float, course: float, margin: float, horizon: float, width: float
     ) -> tuple[float, Geofence | None]:
         """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the body on the right side, and what
         sets it.
@@ -234,7 +235,7 @@ class Fence:
         most, by = speed, None
         for polygon in self.polygons:
             free = (
-                polygon.free(pose, course, margin, speed * horizon) / horizon
+                polygon.free(pose, course, margin, speed * horizon, width) / horizon
                 if all(map(math.isfinite, pose))
                 else 0.0
             )
@@ -242,12 +243,12 @@ class Fence:
                 most, by = free if free > LEAST else 0.0, polygon
         return most, by
 
-    def turn(self, pose: Pose, rate: float, horizon: float) -> tuple[float, Geofence | None]:
+    def turn(self, pose: Pose, rate: float, horizon: float, size: Size) -> tuple[float, Geofence | None]:
         """The most of the yaw rate `rate` [rad/s] that keeps the body on the right side for `horizon` [s], and what sets
         it."""
         most, by = rate, None
         for polygon in self.polygons:
-            free = polygon.free_turn(pose, rate * horizon) / horizon if all(map(math.isfinite, pose)) else 0.0
+            free = polygon.free_turn(pose, rate * horizon, size) / horizon if all(map(math.isfinite, pose)) else 0.0
             if abs(free) < abs(most):
                 most, by = free, polygon
         return most, by

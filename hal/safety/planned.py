@@ -16,6 +16,7 @@ from hal.safety.swept import (
     BEFORE,
     FLAT,
     SPACING,
+    Body,
     Surroundings,
     reach_of,
     straight_tracks,
@@ -42,11 +43,11 @@ def mapped(
     return Surroundings(height, bound, nothing, nothing, origin, resolution)
 
 
-def known_behind(around: Surroundings, pose: Pose, max_gap: float, reach: float) -> float:
-    """How far [m], at most `reach`, a body at `pose` may back up on ground that the map knows."""
+def known_behind(around: Surroundings, pose: Pose, body: Body, max_gap: float, reach: float) -> float:
+    """How far [m], at most `reach`, a `body` at `pose` may back up on ground that the map knows."""
     # Nothing is too high, too low or too steep: what was seen counts, not what it is.
     robot = Capabilities("", max_step=math.inf, max_slope=0.0, max_gap=max_gap)
-    tracks = _backward(reach + max_gap + 2.0 * around.resolution)  # a gap shows at its other end
+    tracks = _backward(body, reach + max_gap + 2.0 * around.resolution)  # a gap shows at its other end
     return min(reach_of(tracks, SPACING, around, pose, FLAT, robot, seen=True).free, reach)
 
 
@@ -56,17 +57,18 @@ def free_turn(
     """How far [rad], at most the size of `turn`, a body at `pose` may turn on the spot, to the left where `turn` is positive. Of `robot`
     counts what it drives over; `spare` [m] is kept on all sides of the body.
     """
-    samples = BEFORE + math.ceil(abs(turn) / turn_step()) + 1
-    tracks = np.ascontiguousarray(_turning(math.copysign(1.0, turn), spare)[:, :samples])
-    found = reach_of(tracks, turn_step(), around, pose, FLAT, robot, seen=False)
+    body = Body.of(robot)
+    samples = BEFORE + math.ceil(abs(turn) / turn_step(body)) + 1
+    tracks = np.ascontiguousarray(_turning(body, math.copysign(1.0, turn), spare)[:, :samples])
+    found = reach_of(tracks, turn_step(body), around, pose, FLAT, robot, seen=False)
     return min(found.free, abs(turn)) if found.kind else abs(turn)
 
 
 @lru_cache(maxsize=8)
-def _backward(reach: float) -> Array:
-    return straight_tracks(reach, -1.0)
+def _backward(body: Body, reach: float) -> Array:
+    return straight_tracks(reach, -1.0, body)
 
 
 @lru_cache(maxsize=4)
-def _turning(sign: float, spare: float) -> Array:
-    return turn_tracks(math.pi, sign, spare=spare)
+def _turning(body: Body, sign: float, spare: float) -> Array:
+    return turn_tracks(math.pi, sign, body, spare=spare)

@@ -14,13 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.types import Array, Capabilities
 
 SPACING = 0.02
@@ -90,6 +90,16 @@ class Body(NamedTuple):
     left: float
     right: float
 
+    @classmethod
+    def of(cls, robot: Capabilities) -> Body:
+        """The whole body of a robot."""
+        return cls(robot.length / 2, robot.length / 2, robot.width / 2, robot.width / 2)
+
+    @property
+    def corner(self) -> float:
+        """From base_link to the front left corner [m]."""
+        return math.hypot(self.front, self.left)
+
     def grown(self, by: float) -> Body:
         """Larger by as much on each side [m]."""
         return Body(*(end + by for end in self))
@@ -99,23 +109,23 @@ class Body(NamedTuple):
         return np.clip(rim, (-self.back, -self.right), (self.front, self.left))
 
 
-BODY = Body(BODY_LENGTH / 2, BODY_LENGTH / 2, BODY_WIDTH / 2, BODY_WIDTH / 2)
-
-
-def straight_tracks(reach: float, sign: float, body: Body = BODY) -> Array:
-    """(tracks, samples, 2) x, y [m] in base_link of the end of `body`, a part of the body, that leads; `sign` 1.0
-    forward, -1.0 backward."""
-    across = _spaced(-BODY_WIDTH / 2, BODY_WIDTH / 2)
-    rim = body.clipped(np.column_stack([np.full_like(across, sign * BODY_LENGTH / 2), across]))
+def straight_tracks(reach: float, sign: float, whole: Body, part: Body | None = None) -> Array:
+    """(tracks, samples, 2) x, y [m] in base_link of the end that leads of the `whole` body, or of a `part` of it;
+    `sign` 1.0 forward, -1.0 backward."""
+    across = _spaced(-whole.right, whole.left)
+    end = whole.front if sign > 0.0 else -whole.back
+    rim = (part or whole).clipped(np.column_stack([np.full_like(across, end), across]))
     ahead = sign * SPACING * np.arange(-BEFORE, math.ceil(reach / SPACING) + 1)
     return rim[:, None, :] + np.column_stack([ahead, np.zeros_like(ahead)])
 
 
-def turn_tracks(reach: float, sign: float, body: Body = BODY, spare: float = 0.0) -> Array:
-    """(tracks, samples, 2) of the parts of the rim of `body`, a part of the body that is larger by `spare` [m] on each
-    side, that lead a turn; `sign` 1.0 left, -1.0 right.
+def turn_tracks(
+    reach: float, sign: float, whole: Body, part: Body | None = None, spare: float = 0.0
+) -> Array:
+    """(tracks, samples, 2) of the rim that leads a turn of the `whole` body, or of a `part` of it, larger by `spare` [m]
+    on each side; `sign` 1.0 left, -1.0 right.
     """
-    length, width = BODY_LENGTH / 2 + spare, BODY_WIDTH / 2 + spare
+    length, width = whole.front + spare, whole.left + spare
     front, side = _spaced(-width, 0.0), _spaced(0.0, length)
     rim = np.concatenate(
         [
@@ -123,37 +133,39 @@ def turn_tracks(reach: float, sign: float, body: Body = BODY, spare: float = 0.0
             np.column_stack([side, np.full_like(side, width)]),
         ]
     )
-    rim = body.grown(spare).clipped(np.concatenate([rim, -rim]) * (1.0, sign))
-    angle = sign * turn_step() * np.arange(math.ceil(reach / turn_step()) + 1)
+    rim = (part or whole).grown(spare).clipped(np.concatenate([rim, -rim]) * (1.0, sign))
+    angle = sign * turn_step(whole) * np.arange(math.ceil(reach / turn_step(whole)) + 1)
     c, s = np.cos(angle), np.sin(angle)
     swept = np.stack([rim[:, :1] * c - rim[:, 1:] * s, rim[:, :1] * s + rim[:, 1:] * c], axis=2)
     inwards = SPACING / np.hypot(rim[:, 0], rim[:, 1])[:, None, None]
-    under = rim[:, None, :] * (1.0 - inwards * np.arange(BEFORE, 0, -1)[:, None])
-    return np.concatenate([under, swept], axis=1)
+    inner = rim[:, None, :] * (1.0 - inwards * np.arange(BEFORE, 0, -1)[:, None])
+    return np.concatenate([inner, swept], axis=1)
 
 
-def shells(tracks: Callable[[Body], Array], body: Body) -> Array:
-    """(shells, tracks, samples, 2): the tracks of `body`, and outside of it those of bodies that are larger by SPACING,
-    up to the whole one."""
-    lacks = np.array(BODY) - body
+def shells(tracks: Callable[[Body, Body], Array], whole: Body, part: Body) -> Array:
+    """(shells, tracks, samples, 2): the tracks of a `part` of the body, and outside of it those of parts that are larger
+    by SPACING, up to the `whole` one. `tracks` takes both."""
+    lacks = np.array(whole) - part
     count = math.ceil(lacks.max() / SPACING - 1e-9)
-    bodies = [Body(*(BODY - np.maximum(lacks - k * SPACING, 0.0)).tolist()) for k in range(count + 1)]
-    return np.stack([tracks(each) for each in bodies])
+    parts = [Body(*(whole - np.maximum(lacks - k * SPACING, 0.0)).tolist()) for k in range(count + 1)]
+    return np.stack([tracks(whole, each) for each in parts])
 
 
-def turn_step() -> float:
+def turn_step(whole: Body) -> float:
     """[rad] between two samples of a turn: the corners of the body move by SPACING."""
-    return SPACING / math.hypot(BODY_LENGTH / 2, BODY_WIDTH / 2)
+    return SPACING / whole.corner
 
 
 def _spaced(low: float, high: float) -> Array:
     return np.linspace(low, high, math.ceil((high - low) / SPACING - 1e-9) + 1)
 
 
-UNDER = np.stack(
-    np.meshgrid(_spaced(-BODY.back, BODY.front), _spaced(-BODY.right, BODY.left)), axis=-1
-).reshape(-1, 1, 2)
-"""(points, 1, 2) places x, y [m] in base_link all over the body, as tracks of one sample."""
+@lru_cache(maxsize=4)
+def under(whole: Body) -> Array:
+    """(points, 1, 2) places x, y [m] in base_link all over the body, as tracks of one sample."""
+    along, across = _spaced(-whole.back, whole.front), _spaced(-whole.right, whole.left)
+    return np.stack(np.meshgrid(along, across), axis=-1).reshape(-1, 1, 2)
+
 
 Stand = tuple[float, float, float]
 """The plane that the robot stands on: height below base_link [m] in `map`, NaN where nothing is known; grades forward
@@ -162,15 +174,17 @@ FLAT: Stand = (math.nan, 0.0, 0.0)
 """Nothing is known of it."""
 
 
-def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array) -> Stand:
-    """The plane under the body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis `up` (3,) is
+def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array, whole: Body) -> Stand:
+    """The plane under the `whole` body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis `up` (3,) is
     in `map`; as high as the median of the ground that is known there.
     """
     x, y, yaw = (float(v) for v in pose)
     c, s = math.cos(yaw), math.sin(yaw)
     across = max(float(up[2]), 0.5)
     ahead, left = -(c * up[0] + s * up[1]) / across, -(c * up[1] - s * up[0]) / across
-    height = height_under(around.height, *around.origin, around.resolution, x, y, yaw, ahead, left)
+    height = height_under(
+        around.height, *around.origin, around.resolution, x, y, yaw, ahead, left, whole.front, whole.left
+    )
     return float(height), float(ahead), float(left)
 
 
@@ -217,14 +231,16 @@ def reach_of(
     return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height)
 
 
-def leaves_on(tracks: Array, step: float, around: Surroundings, pose: tuple[float, float, float]) -> float:
-    """How far [m or rad] the body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad] in `map`
+def leaves_on(
+    tracks: Array, step: float, around: Surroundings, pose: tuple[float, float, float], whole: Body
+) -> float:
+    """How far [m or rad] the `whole` body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad] in `map`
     until a part of it is over ground under leaves; 0 where one is, infinite where it meets none.
     """
     if not (around.source == PLANTS).any():
         return math.inf
     where = around.source, *around.origin, around.resolution, *(float(v) for v in pose)
-    if first_leaf(UNDER, *where) == 0:
+    if first_leaf(under(whole), *where) == 0:
         return 0.0
     sample = first_leaf(tracks, *where)
     return max(0.0, (sample - BEFORE) * step) if sample < tracks.shape[1] else math.inf
@@ -248,12 +264,14 @@ def first_leaf(tracks, source, x0, y0, resolution, x, y, yaw):  # pragma: no cov
 
 
 @njit(cache=True)
-def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma: no cover - compiled
-    """Median height [m] of the known ground under the body, carried to its middle along the grades; NaN where nothing
+def height_under(
+    height, x0, y0, resolution, x, y, yaw, ahead, left, length, width
+):  # pragma: no cover - compiled
+    """Median height [m] of the known ground under a body of half the `length` and half the `width` [m], carried to its middle along the grades; NaN where nothing
     is known."""
     rows, cols = height.shape
     c, s = math.cos(yaw), math.sin(yaw)
-    reach = math.ceil(math.hypot(BODY_LENGTH, BODY_WIDTH) / (2.0 * resolution))
+    reach = math.ceil(math.hypot(length, width) / resolution)
     col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
     known = np.empty((2 * reach + 1) ** 2)
     n = 0
@@ -261,7 +279,7 @@ def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma:
         for k in range(max(0, col - reach), min(cols, col + reach + 1)):
             dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
             u, v = c * dx + s * dy, c * dy - s * dx
-            if abs(u) <= BODY_LENGTH / 2 and abs(v) <= BODY_WIDTH / 2 and not math.isnan(height[r, k]):
+            if abs(u) <= length and abs(v) <= width and not math.isnan(height[r, k]):
                 known[n] = height[r, k] - ahead * u - left * v
                 n += 1
     return np.median(known[:n]) if n > 0 else np.nan

@@ -13,17 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hal.go2w import BASE, BODY_LENGTH, BODY_WIDTH, HIP, HIP_Y, SX, SY, THIGH_LINK, THIGH_Y, TREAD_Y
+from hal.limbs import SX, SY, Limbs
 from hal.safety import monitors
-from hal.safety.swept import TOUCHED, Surroundings
+from hal.safety.swept import TOUCHED, Body, Surroundings
 from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
 from hal.wheel_force import wheel_loads, wheel_pushes
 
-SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
-"""[kg] that the legs push, without payload; shanks and wheels get their share from the ground itself."""
-HEAVIEST, WEIGH_TIME = 40.0, 1.0
-"""[kg] with payload at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope
-pushes nothing."""
+PAYLOAD, WEIGH_TIME = 26.0, 1.0
+"""[kg] at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope pushes
+nothing."""
 UP = np.array([0.0, 0.0, 1.0])
 SHORT = 0.85
 """A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against
@@ -72,11 +70,14 @@ class Touch(NamedTuple):
 class TouchWatch:
     """Feeds on IMU and joint samples as they come."""
 
-    def __init__(self) -> None:
+    def __init__(self, limbs: Limbs, sprung_mass: float) -> None:
+        """sprung_mass: [kg] that the wheels push without payload; wheels and shanks get their share from the ground
+        itself."""
+        self._limbs, self._sprung = limbs, sprung_mass
         self._accel: Array = np.array([0.0, 0.0, GRAVITY])
         """[m/s^2] mean specific force since the joint sample before."""
         self._sum, self._count = np.zeros(3), 0
-        self._mass = SPRUNG
+        self._mass = sprung_mass
         self._stamp = 0
         self._body = 0.0
         """For how long the body was pushed back [s]; `_wheel`: one of the wheels."""
@@ -97,15 +98,15 @@ class TouchWatch:
         if self._count:
             self._accel = self._sum / self._count
             self._sum, self._count = np.zeros(3), 0
-        weighed = float(wheel_loads(sample.position, sample.effort, UP).sum()) / max(
-            float(self._accel[2]), 0.5 * GRAVITY
-        )
-        self._mass += elapsed / WEIGH_TIME * (min(max(weighed, SPRUNG), HEAVIEST) - self._mass)
+        load = float(wheel_loads(self._limbs, sample.position, sample.effort, UP).sum())
+        if math.isfinite(load):
+            weighed = load / max(float(self._accel[2]), 0.5 * GRAVITY) - self._sprung
+            self._mass += elapsed / WEIGH_TIME * (self._sprung + min(max(weighed, 0.0), PAYLOAD) - self._mass)
         if abs(vx) < DRIVES:
             self._body, self._wheel = 0.0, np.zeros(4)
             return None
         way = math.copysign(1.0, vx)
-        back = -way * wheel_pushes(sample.position, sample.effort)
+        back = -way * wheel_pushes(self._limbs, sample.position, sample.effort)
         held = -way * self._mass * self._accel[0] - back.sum()
         rough = uneven > FACE
         slow = speed is None or way * speed < SHORT * abs(vx)
@@ -124,7 +125,7 @@ class TouchWatch:
             return self._tell(Touch(way, 0.0))
         if self._wheel.max() >= WHEEL_TIME:
             leg = int(self._wheel.argmax())
-            return self._tell(Touch(way, float(SY[leg]) * (HIP_Y + THIGH_Y + TREAD_Y)))
+            return self._tell(Touch(way, float(SY[leg]) * self._limbs.tread))
         return None
 
     def _tell(self, touch: Touch) -> Touch:
@@ -132,8 +133,8 @@ class TouchWatch:
         return touch
 
 
-def uneven(around: Surroundings, pose: tuple[float, float, float]) -> tuple[float, float]:
-    """How far [m] the ground under the body and AHEAD of it, and that under it and as far behind it, lies off the plane
+def uneven(around: Surroundings, pose: tuple[float, float, float], body: Body) -> tuple[float, float]:
+    """How far [m] the ground under the `body` and AHEAD of it, and that under it and as far behind it, lies off the plane
     under the body.
 
     `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because
@@ -141,7 +142,7 @@ def uneven(around: Surroundings, pose: tuple[float, float, float]) -> tuple[floa
     lies off the lowest and the highest of them: all stairs under it push at a robot that climbs.
     """
     x, y, yaw = (float(v) for v in pose)
-    front, side, resolution = BODY_LENGTH / 2, BODY_WIDTH / 2, around.resolution
+    front, side, resolution = body.front, body.left, around.resolution
     reach = math.ceil(math.hypot(front + AHEAD, side + BESIDE) / resolution)
     row, col = round((y - around.origin[1]) / resolution), round((x - around.origin[0]) / resolution)
     rows, cols = slice(max(row - reach, 0), row + reach + 1), slice(max(col - reach, 0), col + reach + 1)

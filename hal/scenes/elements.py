@@ -13,7 +13,7 @@ from math import cos, radians, sin, tan
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.lowlevel import Controller
+from hal.robots import Lanes
 
 Field = NDArray[np.float64]
 
@@ -26,45 +26,8 @@ PIT = -0.4
 TRACK = 0.386
 """Between the middle planes of left and right wheels [m]."""
 
-CLIMBS = {
-    "slope": 25.0,
-    "step": 0.20,
-    "bar": 0.10,
-    "rail": 0.08,
-    "posts": 0.15,
-    "gap": 0.10,
-    "rough": 0.07,
-}
-FORBIDDEN_TO_CLIMBERS = {
-    "slope": (42.0, 50.0),
-    "step": (0.36, 0.45),
-    "bar": (0.36, 0.45),
-    "gap": (0.20, 0.30),
-}
-"""Of the controllers that climb with a learnt policy; see `ENVELOPE` and `BEYOND`."""
-ENVELOPE: dict[Controller, dict[str, float]] = {
-    "vmc": {
-        "slope": 20.0,
-        "step": 0.10,
-        "bar": 0.10,
-        "rail": 0.08,
-        "posts": 0.05,
-        "gap": 0.10,
-        "rough": 0.05,
-    },
-    "policy": CLIMBS,
-    "hybrid": {**CLIMBS, "posts": 0.12},
-}
-"""Largest slope [deg], face, bar, rail, post, gap and roughness [m] that a controller drives over reliably with friction 0.6 to 1.0,
-as `tools.bench envelope` measures it (docs/simulated_robot.md), and never more than its capabilities declare."""
-BEYOND: dict[Controller, dict[str, tuple[float, float]]] = {
-    "vmc": {"slope": (36.0, 45.0), "step": (0.16, 0.24), "bar": (0.16, 0.24), "gap": (0.18, 0.30)},
-    "policy": FORBIDDEN_TO_CLIMBERS,
-    "hybrid": FORBIDDEN_TO_CLIMBERS,
-}
-"""What a controller's capabilities forbid without doubt: 1.4 times the declared limit and more."""
 SHARE = {1: (0.30, 0.45), 2: (0.50, 0.65), 3: (0.70, 0.80), 4: (0.90, 1.00)}
-"""Share of the envelope that the elements of a level ask for."""
+"""Share of what the robot drives over that the elements of a level ask for."""
 OBLIQUE = {1: 15.0, 2: 30.0, 3: 45.0, 4: 60.0}
 """Largest angle [deg] between a face and the head-on way over it."""
 PASSAGE = {1: 0.85, 2: 0.80, 3: 0.75, 4: 0.70}
@@ -76,14 +39,14 @@ class Grade:
     """Limits of the elements of one lane."""
 
     level: int
-    controller: Controller
+    robot: Lanes
     width: float
     """Of the lane [m]."""
 
     def draw(self, random: np.random.Generator, what: str) -> float:
-        """A value of the level for `what` in `ENVELOPE`."""
+        """A value of the level for `what` of `Lanes.within`."""
         low, high = SHARE[self.level]
-        return ENVELOPE[self.controller][what] * float(random.uniform(low, high))
+        return self.robot.within[what] * float(random.uniform(low, high))
 
     def angle(self, random: np.random.Generator) -> float:
         """Signed angle [rad] of a face to the head-on way over it."""
@@ -246,7 +209,7 @@ def delayed(e: Element, by: float, length: float) -> Element:
 
 def blocker(random: np.random.Generator, grade: Grade) -> Element:
     """An element across the whole lane that the controller cannot drive over: a kerb, a bar, a gap or a ramp."""
-    beyond = BEYOND[grade.controller]
+    beyond = grade.robot.beyond
     what = str(random.choice(list(beyond)))
     value = float(random.uniform(*beyond[what]))
     if what == "slope":

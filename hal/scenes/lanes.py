@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.lowlevel import CONTROLLERS, Controller
+from hal.robots import DEFAULT, describe
 from hal.scenes.canvas import Canvas, Rect
 from hal.scenes.elements import (
     HALF_RAMP,
@@ -63,7 +63,7 @@ class Lane:
 
     scene: Scene
     level: int
-    controller: Controller
+    controller: str
     map: str
     layout: str
     width: float
@@ -136,19 +136,21 @@ class _Course:
     line: list[Point]
 
 
-def lane(seed: int, *, level: int = 2, controller: Controller = "vmc", map: str = "") -> Lane:
+def lane(seed: int, *, level: int = 2, controller: str = "vmc", map: str = "") -> Lane:
     """The lane of a seed. `map`: a name in `hal.scenes.elements.MAPS` or `mixed`; empty: the seed's own. Raises SceneError."""
     kinds = (*MAPS, "mixed")
     if map not in ("", *kinds):
         raise SceneError(f"lanes have no map {map!r}: use one of {', '.join(kinds)}")
-    if level not in LEVELS or controller not in CONTROLLERS:
+    robot, _, name = controller.rpartition("/")
+    able = describe(robot or DEFAULT)
+    if level not in LEVELS or name not in able.own:
         raise SceneError(
-            f"lanes have levels 1 to 5 for {', '.join(CONTROLLERS)}; got level {level} for {controller}"
+            f"lanes have levels 1 to 5 for {', '.join(able.own)} of {able.name}; got level {level} for {controller}"
         )
     layout, kind = LAYOUTS[seed % len(LAYOUTS)], map or kinds[seed // len(LAYOUTS) % len(kinds)]
     random = np.random.default_rng([seed, kinds.index(kind)])
     width = round(float(random.uniform(1.10, 1.20)), 2)
-    grade = Grade(level if level < 5 else 2, controller, width)
+    grade = Grade(level if level < 5 else 2, able.lanes(name), width)
     own, other = ([MAPS[kind]], [MAPS[kind]] * 2) if kind in MAPS else (list(MAPS.values()),) * 2
 
     def draw(makers: Sequence[Maker]) -> Element:
@@ -315,7 +317,7 @@ def named(text: str) -> Lane:
     words = text.partition(":")[2].split(",") if ":" in text else []
     seed, options = (words[0] or "0") if words else "0", dict(w.partition("=")[::2] for w in words[1:])
     if not seed.isdecimal() or not set(options) <= {"level", "controller", "map"}:
-        raise SceneError(f"{text!r}: write lanes:SEED,level=1..5,controller=vmc|policy,map=NAME")
+        raise SceneError(f"{text!r}: write lanes:SEED,level=1..5,controller=NAME or ROBOT/NAME,map=NAME")
     level = options.pop("level", "2")
     if not level.isdecimal():
         raise SceneError(f"{text!r}: the level must be a whole number")

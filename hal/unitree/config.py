@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
-from hal.locomotion.abilities import ABILITIES
-from hal.lowlevel import Controller
+from hal.lidar.config import LidarConfig
+from hal.robots import DEFAULT, Robot, describe
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import Capabilities, Extrinsics, MountedLidar
 
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
-
-
-KEPT = {
-    "max_step": 0.15,
-    "max_slope": math.radians(25.0),
-    "max_gap": 0.10,
-    "max_posts": 0.05,
-    "step_vx": 0.0,
-}
-"""Limits: guesses, with a wide margin to what the vendor's gaits are said to do. The envelope that is assumed from the
-model-based controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
 
 
 class UnitreeConfig(BaseModel):
@@ -40,7 +27,7 @@ class UnitreeConfig(BaseModel):
         default="sport",
         description="who balances: the robot's own sport service, or the stack's `controller` at the motors",
     )
-    tried: tuple[Controller, ...] = Field(
+    tried: tuple[str, ...] = Field(
         default=(),
         description="level low: controllers that were tried on this robot with its wheels off the ground; any other one gets "
         "a third of the torque and 0.2 m/s",
@@ -97,8 +84,19 @@ class UnitreeConfig(BaseModel):
     )
     sit_on_close: bool = Field(default=True, description="lie down when the backend closes")
     lidars: tuple[LidarConfig, ...] = Field(
-        default=DEFAULT_LIDARS, exclude=True, description="the stack's own `lidars`; set there, not here"
+        default_factory=lambda: describe().lidars,
+        exclude=True,
+        description="the stack's own `lidars`; set there, not here",
     )
+
+    robot_model: str = Field(
+        default=DEFAULT, exclude=True, description="the stack's own `robot_model`; set there, not here"
+    )
+
+    @property
+    def robot(self) -> Robot:
+        """What it drives."""
+        return describe(self.robot_model)
 
     def dds_domain(self, interface: str) -> int:
         """DDS domain of the robot behind a network interface."""
@@ -118,23 +116,21 @@ class UnitreeConfig(BaseModel):
         return tuple(self._mounted(lidar) for lidar in self.lidars)
 
     def _mounted(self, lidar: LidarConfig) -> MountedLidar:
+        (lidar,) = self.robot.mounted((lidar,))
         mounted = lidar.mounted()
         if lidar.model != "l1" or self.l1_yaw == 0.0:
             return mounted
         turned = rotation_rpy(*mounted.mount.rpy) @ rotation_rpy(0.0, 0.0, self.l1_yaw)
         return replace(mounted, mount=Extrinsics(mounted.mount.translation, rpy_of(turned)))
 
-    def capabilities(self, controller: Controller = "hybrid") -> Capabilities:
+    def capabilities(self, controller: str = "") -> Capabilities:
         """The robot's limits with these settings: at level low those of the stack's `controller` in simulation, else
-        those of the vendor's gaits.
-
-        Nobody measured the vendor's gaits: see `KEPT`.
+        those of the vendor's gaits, which nobody measured.
         """
-        sport = Capabilities("", max_trunk_tilt=math.radians(15.0), **KEPT)  # type: ignore[arg-type]
-        able = ABILITIES[controller] if self.level == "low" else sport
+        controller = (controller or self.robot.usual) if self.level == "low" else "sport"
         return replace(
-            able,
-            name=f"unitree-go2w-{controller}" if self.level == "low" else "unitree-go2w",
+            self.robot.capabilities(controller),
+            name=f"unitree-{self.robot.name}" + (f"-{controller}" if self.level == "low" else ""),
             max_vx=self.max_vx,
             max_vy=0.0,
             strafe=False,

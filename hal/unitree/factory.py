@@ -11,7 +11,6 @@ from hal.optional import INSTALL_DDS
 
 if TYPE_CHECKING:
     from hal.contract import Backend
-    from hal.lowlevel import Controller
     from hal.unitree.config import UnitreeConfig
 
 
@@ -39,12 +38,12 @@ def make_backend(
     dry_run: bool = False,
     options: UnitreeConfig | None = None,
     clock: Callable[[], int] = time.time_ns,
-    controller: Controller = "hybrid",
+    controller: str = "",
     policy: str = "",
 ) -> Backend:
     """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given.
 
-    controller, policy: of level low, see `hal.locomotion.controllers`. Raises MissingExtra, or BackendError for an
+    controller, policy: of level low, see `hal.robots.go2w.locomotion.controllers`. Raises MissingExtra, or BackendError for an
     unusable interface.
     """
     check(interface)

@@ -16,9 +16,9 @@ from hal.safety.slope import CREEP, SLOPE
 from hal.unitree.api import Sport
 
 WHEELS = slice(12, 16)
-"""Slots of the wheels among the motors, as in `hal.go2w`."""
+"""Slots of the wheels among the motors, as in `hal.robots.go2w.facts`."""
 WHEEL_RADIUS = 0.086
-"""[m], as in `hal.go2w`."""
+"""[m], as in `hal.robots.go2w.facts`."""
 WINDOW = 0.3
 """[s] that is averaged: the sway of legs and trunk after a stop lasts as long in each direction, and is no motion."""
 SAMPLE = 0.015

@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from hal import go2w
 from hal.plausible import ImuCheck, impossible_joints, lost_motor
+from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation_rpy, up_of
 from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP
 from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase

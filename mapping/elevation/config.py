@@ -1,8 +1,10 @@
-"""Parameters of the elevation map. Defaults fit a Go2-W with a 16-ring LiDAR; few of them ever need a change."""
+"""Parameters of the elevation map. Defaults fit a robot of 0.7 m with a 16-ring LiDAR; few of them ever need a change."""
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from hal.robots import describe
 
 
 class ElevationConfig(BaseModel):
@@ -80,6 +82,11 @@ class ElevationConfig(BaseModel):
         ge=10.0,
         le=3600.0,
         description="what was touched and no ray tells of is forgotten after this time: a door that stood open is tried again [s]",
+    )
+    body_width: float = Field(
+        default_factory=lambda: describe().body.width,
+        exclude=True,
+        description="the robot's own [m]; set there, not here",
     )
     # --- clean-up
     clean_range: float = Field(default=6.0, description="rays are traced this far [m]")

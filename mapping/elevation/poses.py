@@ -12,7 +12,7 @@ from mapping.elevation.exchange import MapError
 from mapping.grid import FARTHEST
 
 FASTEST, SLACK = 5.0, 3.0
-"""A robot of twice the Go2-W's speed [m/s] and what an odometry corrects at once [m]: no pose lies further from the one before."""
+"""Twice the speed of our robots [m/s] and what an odometry corrects at once [m]: no pose lies further from the one before."""
 
 
 def checked_pose(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
-from hal.go2w import XT16_MOUNT
 from hal.lidar.spec import LIDARS
 from hal.types import MountedLidar
 
@@ -45,4 +44,4 @@ class Sensor:
         )
 
 
-XT16 = Sensor.of(MountedLidar("main", "xt16", XT16_MOUNT))
+XT16 = Sensor.of(MountedLidar("main", "xt16", LIDARS["xt16"].mount))

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_WIDTH
 from mapping.elevation.exchange import TOUCHED, MapPatch
 from mapping.elevation.tiles import TileStore
 
@@ -34,9 +33,9 @@ class _Wall:
 class TouchedWalls:
     """The walls of one map. Times in ms lived through."""
 
-    def __init__(self, fade: int) -> None:
-        """`fade`: after so long [ms] a wall is forgotten."""
-        self._fade = fade
+    def __init__(self, fade: int, width: float) -> None:
+        """`fade`: after so long [ms] a wall is forgotten; `width`: of the body [m]."""
+        self._fade, self._half = fade, width / 2
         self._walls: list[_Wall] = []
 
     def __len__(self) -> int:
@@ -48,12 +47,12 @@ class TouchedWalls:
         """A wall across `yaw` [rad] whose face is as wide as the body and has its middle at x, y [m] of `place`; z is that of base_link."""
         x, y, z = place
         c, s = math.cos(yaw), math.sin(yaw)
-        reach = math.hypot(DEPTH, BODY_WIDTH / 2)
+        reach = math.hypot(DEPTH, self._half)
         low, high = (np.floor((np.array([y, x]) + sign * reach) / resolution).astype(int) for sign in (-1, 1))
         i, j = (v.ravel() for v in np.mgrid[low[0] : high[0] + 2, low[1] : high[1] + 2])
         dx, dy = j * resolution - x, i * resolution - y
         along, across = c * dx + s * dy, c * dy - s * dx
-        inside = (along >= 0.0) & (along <= DEPTH) & (np.abs(across) <= BODY_WIDTH / 2)
+        inside = (along >= 0.0) & (along <= DEPTH) & (np.abs(across) <= self._half)
         height = np.full(np.count_nonzero(inside), z + RISE, np.float32)
         self._enter(
             store, _Wall(i[inside].astype(np.int64), j[inside].astype(np.int64), height, now + self._fade)

@@ -47,10 +47,15 @@ class LidarAlone:
     words = "LiDAR alone: no IMU"
 
     def __init__(
-        self, params: OdometryConfig, mounts: Mapping[LidarName, Extrinsics], own: Sequence[OwnPart] = ()
+        self,
+        params: OdometryConfig,
+        mounts: Mapping[LidarName, Extrinsics],
+        own: Sequence[OwnPart] = (),
+        size: tuple[float, float] | None = None,
     ) -> None:
-        """`mounts`: each LiDAR in base_link; only the main one is registered. `own`: parts of the robot beside its body."""
-        self._own = OwnFilter(own, mounts)
+        """`mounts`: each LiDAR in base_link; only the main one is registered. `own`: parts of the robot beside its body, whose
+        `size` is length and width [m]."""
+        self._own = OwnFilter(own, mounts, size)
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
 
@@ -147,14 +152,18 @@ class WheelsAlone:
     words = "wheels and IMU alone: no LiDAR, the place drifts"
 
     def __init__(
-        self, params: OdometryConfig, mounts: Mapping[LidarName, Extrinsics], own: Sequence[OwnPart] = ()
+        self,
+        params: OdometryConfig,
+        mounts: Mapping[LidarName, Extrinsics],
+        own: Sequence[OwnPart] = (),
+        size: tuple[float, float] | None = None,
     ) -> None:
-        """`mounts`, `own`: what every odometry is given; no sweep is looked at."""
+        """`mounts`, `own`, `size`: what every odometry is given; no sweep is looked at."""
         self._params = params.model_copy(update={"use_joints": True})
         self.counters: Counter[str] = Counter()
         self.calibration = Calibration(mounts, params.max_time_offset)
         self._inbox = Inbox(
-            self._params, self.counters, self._follow_clock, dict.fromkeys(mounts, 0), OwnFilter(own, mounts)
+            self._params, self.counters, self._follow_clock, dict.fromkeys(mounts, 0), OwnFilter(own, mounts, size)
         )
         self._filter = InertialFilter(params.inertial)
         self._noise = np.array(params.inertial.wheel_noise)
@@ -240,7 +249,15 @@ class WheelsAlone:
         joint_stamp, joints = self._inbox.joints.between(state.stamp, end)
         if len(joints):
             wheel, sigma, _ = velocities(
-                joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, self._noise, 1.0
+                state.limbs,
+                joint_stamp,
+                joints,
+                imu_stamp,
+                imu,
+                state.x[10:13],
+                self._lever,
+                self._noise,
+                1.0,
             )
             return joint_stamp, wheel, sigma
         while self._speeds and self._speeds[0][0] <= state.stamp:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import WHEEL_RADIUS, wheel_centres
+from hal.limbs import Limbs, wheel_centres
 from hal.rotation import cross
 from hal.types import Array, JointSample
 from mapping.odometry.wheels import leg_velocity
 
 
-def contacts_of(rows: Array) -> Array:
+def contacts_of(limbs: Limbs, rows: Array) -> Array:
     """`wheel_contacts` of the last of `rows` (n, 48): position, velocity, effort of 16 motors; (0, 3) without one."""
     if not len(rows):
         return np.zeros((0, 3))
-    return wheel_contacts(JointSample(0, rows[-1, :16], rows[-1, 16:32], rows[-1, 32:]))
+    return wheel_contacts(limbs, JointSample(0, rows[-1, :16], rows[-1, 16:32], rows[-1, 32:]))
 
 
-def wheel_contacts(joints: JointSample) -> NDArray[np.float64]:
+def wheel_contacts(limbs: Limbs, joints: JointSample) -> NDArray[np.float64]:
     """(k, 3) lowest points of the wheels that carry load, base_link [m].
 
     The wheel's lowest point lies along the normal of the plane through the four wheel centres: on a ramp that is the
@@ -28,11 +28,11 @@ def wheel_contacts(joints: JointSample) -> NDArray[np.float64]:
     dq = np.ascontiguousarray(joints.velocity, np.float64)
     tau = np.ascontiguousarray(joints.effort, np.float64)
     contact = np.empty(4, np.bool_)
-    leg_velocity(q, dq, tau, np.zeros(3), np.ones(3), np.empty(3), np.empty(3), contact)
-    centre = wheel_centres(q)
+    leg_velocity(limbs, q, dq, tau, np.zeros(3), np.ones(3), np.empty(3), np.empty(3), contact)
+    centre = wheel_centres(limbs, q)
     normal = cross(centre[0] - centre[3], centre[1] - centre[2])
     length = np.linalg.norm(normal)
     if length < 1e-6:
         return np.zeros((0, 3))
     normal *= np.sign(normal[2]) / length
-    return (centre - WHEEL_RADIUS * normal)[contact]
+    return (centre - limbs.radius * normal)[contact]

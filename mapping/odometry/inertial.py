@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.go2w import IMU_POSITION
+from hal.limbs import Limbs
+from hal.robots import describe
 from hal.rotation import rotation, rotation_vector, skew, turn
 from hal.types import GRAVITY, Array
 from mapping.odometry.inertial_kernels import correct, output, run, settle
@@ -45,7 +46,14 @@ class InertialConfig(BaseModel):
         default=(0.1, 0.1, 0.05),
         description="wheel velocity, white part per 50 Hz sample, body x, y, z [m/s]",
     )
-    imu_position: tuple[float, float, float] = Field(default=IMU_POSITION, description="IMU in base_link [m]")
+    imu_position: tuple[float, float, float] = Field(
+        default_factory=lambda: describe().imu.translation, description="IMU in base_link [m]"
+    )
+    limbs: Limbs = Field(
+        default_factory=lambda: describe().limbs,
+        exclude=True,
+        description="the robot's own; set there, not here",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +85,7 @@ class InertialFilter:
         self.x[9] = 1.0
         self.p = np.eye(15)
         self.u = np.zeros(6)
-        self.lever = np.array(params.imu_position)
+        self.lever, self.limbs = np.array(params.imu_position), params.limbs
         self._noise = np.array(
             [params.gyro_noise, params.accel_noise, params.gyro_bias_walk, params.accel_bias_walk]
         )

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.robots import describe
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import OWN_PARTS
 from hal.types import Array, Extrinsics, LidarName
@@ -60,26 +60,36 @@ class OwnPart(BaseModel):
         return f"{{low: [{low}], high: [{high}]}}"
 
 
-OUTLINE = np.array([BODY_LENGTH / 2 + 0.3, BODY_WIDTH / 2 + 0.3, 1.0])
-"""[m] from base_link along each axis: parts stick out no further."""
+OUTLINE = np.array([describe().body.length / 2 + 0.3, describe().body.width / 2 + 0.3, 1.0])
+"""[m] from base_link along each axis: parts stick out no further, of no robot."""
 SPARE = 0.03
 """[m] around a part: noise of the LiDARs, and what it sways."""
-BODY = (
-    OwnPart(low=(-BODY_LENGTH / 2, -BODY_WIDTH / 2, -0.10), high=(BODY_LENGTH / 2, BODY_WIDTH / 2, 0.25)),
-    OwnPart(
-        low=(-BODY_LENGTH / 2, -BODY_WIDTH / 2 - SPARE, -0.50),
-        high=(BODY_LENGTH / 2, BODY_WIDTH / 2 + SPARE, -0.10),
-    ),
-)
-"""The robot as it is delivered: the trunk with the LiDAR on its back, and its legs. Not a centimetre more of the trunk: what stands there the guard must see."""
+
+
+def body_boxes(length: float, width: float) -> tuple[OwnPart, OwnPart]:
+    """A robot of this size [m] as it is delivered: the trunk with the LiDAR on its back, and its legs. Not a centimetre
+    more of the trunk: what stands there the guard must see."""
+    x, y = length / 2, width / 2
+    return (
+        OwnPart(low=(-x, -y, -0.10), high=(x, y, 0.25)),
+        OwnPart(low=(-x, -y - SPARE, -0.50), high=(x, y + SPARE, -0.10)),
+    )
+
 
 
 class OwnFilter:
     """Takes the returns from the robot itself out of sweeps."""
 
-    def __init__(self, parts: Sequence[OwnPart], mounts: Mapping[LidarName, Extrinsics]) -> None:
-        """`parts`: boxes beside `BODY`; `mounts`: each LiDAR in base_link."""
-        self._boxes = np.array([(*part.low, *part.high) for part in (*BODY, *parts)])
+    def __init__(
+        self,
+        parts: Sequence[OwnPart],
+        mounts: Mapping[LidarName, Extrinsics],
+        size: tuple[float, float] | None = None,
+    ) -> None:
+        """`parts`: boxes beside the body; `mounts`: each LiDAR in base_link; `size`: length and width of the body [m],
+        None: of the default robot."""
+        body = body_boxes(*(size or (describe().body.length, describe().body.width)))
+        self._boxes = np.array([(*part.low, *part.high) for part in (*body, *parts)])
         self._mounts = {
             name: (rotation_rpy(*mount.rpy), np.array(mount.translation)) for name, mount in mounts.items()
         }

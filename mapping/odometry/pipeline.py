@@ -20,12 +20,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import XT16_MOUNT
+from hal.robots import describe
 from hal.rotation import rotation_vector
 from hal.safety.monitors import IMPOSSIBLE_SPEED
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
@@ -66,12 +65,16 @@ class LidarInertialOdometry:
 
     def __init__(
         self,
-        params: OdometryConfig = OdometryConfig(),
-        mounts: Mapping[LidarName, Extrinsics] = MappingProxyType({"main": XT16_MOUNT}),
+        params: OdometryConfig | None = None,
+        mounts: Mapping[LidarName, Extrinsics] | None = None,
         own: Sequence[OwnPart] = (),
+        size: tuple[float, float] | None = None,
     ) -> None:
-        """`mounts`: each LiDAR in base_link; `own`: parts of the robot beside its body."""
-        self._own = OwnFilter(own, mounts)
+        """`mounts`: each LiDAR in base_link; None: the main one where the default robot carries it. `own`: parts of the
+        robot beside its body, whose `size` is length and width [m]; None: that of the default robot."""
+        params = params or OdometryConfig()
+        mounts = mounts or {"main": describe().mounts["xt16"]}
+        self._own = OwnFilter(own, mounts, size)
         self.parts = OwnParts()
         """What moves with the robot and is none of `own`."""
         self.params = params
@@ -267,7 +270,7 @@ class LidarInertialOdometry:
         """The main LiDAR against the gyro, the others against the local map, the ground that each sees against the wheels."""
         now, state = self._filter.stamp, self._filter.output(ZERO)
         rate = rotation_vector(before[:3, :3].T @ predicted[:3, :3]) * NS / (now - since)
-        contacts = contacts_of(self._joints.between(now - NS // 15, now)[1])
+        contacts = contacts_of(self._filter.limbs, self._joints.between(now - NS // 15, now)[1])
         self.calibration.registered(now, before, predicted, since, pose, covariance, self._engine)
         self.calibration.clouds({"main": cloud, **others}, self._engine, pose, state.linear, rate, contacts)
         if max(np.linalg.norm(rate), np.linalg.norm(state.angular)) > TURNING:
@@ -335,7 +338,7 @@ class LidarInertialOdometry:
         scale = self._scale.value
         noise = np.hypot(self._wheel_noise, [self._scale.noise, 0.0, 0.0])
         wheel, sigma, _ = velocities(
-            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, noise, scale
+            state.limbs, joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, noise, scale
         )
         touching = bool(np.isfinite(sigma[:, 0]).all()) and len(wheel) >= 3
         self._rolled = (
@@ -349,7 +352,7 @@ class LidarInertialOdometry:
         turning = inside[:, :3].mean(axis=0) - x[10:13] if len(inside) else np.zeros(3)
         self._each = np.full(4, np.nan)
         if touching:
-            self._each = ways_of_wheels(joints, turning, (end - state.stamp) * 1e-9)
+            self._each = ways_of_wheels(state.limbs, joints, turning, (end - state.stamp) * 1e-9)
         stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
         speed = float(np.linalg.norm(state.x[3:6]))
         gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))

@@ -73,7 +73,9 @@ class PoseStream:
         imu_stamp, imu = self._imu.between(self.dead.stamp, stamp)
         newest = imu[-1] if len(imu) else self.dead.u
         angular = newest[:3] - self.dead.x[10:13]
-        leg_velocity(row[:16], row[16:32], row[32:], angular, self._noise, linear, sigma, contact)
+        leg_velocity(
+            self.dead.limbs, row[:16], row[16:32], row[32:], angular, self._noise, linear, sigma, contact
+        )
         linear[0] *= self.scale
         at_imu = self.dead.at_imu(linear, angular)
         wheel = np.array([stamp]), at_imu[None, :], sigma[None, :]
@@ -111,7 +113,7 @@ class PoseStream:
     ) -> tuple[NDArray[np.int64], Array, Array]:
         stamps, rows = self._joints.between(state.stamp, until)
         out, sigma, _ = velocities(
-            stamps, rows, imu_stamp, imu, state.x[10:13], state.lever, self._noise, self.scale
+            state.limbs, stamps, rows, imu_stamp, imu, state.x[10:13], state.lever, self._noise, self.scale
         )
         return stamps, out, sigma
 

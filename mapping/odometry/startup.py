@@ -63,7 +63,15 @@ def start(
     velocity, height = None, 0.0
     if len(joints):
         v, _, h = velocities(
-            joint_stamp[-1:], joints[-1:], imu_stamp, imu, np.zeros(3), state.lever, wheel_noise, 1.0
+            state.limbs,
+            joint_stamp[-1:],
+            joints[-1:],
+            imu_stamp,
+            imu,
+            np.zeros(3),
+            state.lever,
+            wheel_noise,
+            1.0,
         )
         if math.isfinite(h[0]):
             velocity, height = v[0], float(h[0])

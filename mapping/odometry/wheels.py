@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.go2w import WHEEL_RADIUS, wheel_centres, wheel_jacobians
+from hal.limbs import Limbs, wheel_centres, wheel_jacobians
 from hal.types import Array
-from hal.wheel_force import CONTACT_FORCE, axle_force
+from hal.wheel_force import CONTACT_FORCE, axle_force, is_rigid
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +46,17 @@ Of ten drives over kerbs of 20 cm (25, 100, 400 tried) the height was 25, 22, 21
 
 
 @njit(cache=True)
-def wheel_velocities(q: Array, dq: Array, tau: Array, gyro: Array, velocity: Array, height: Array) -> None:
+def wheel_velocities(
+    limbs: Limbs, q: Array, dq: Array, tau: Array, gyro: Array, velocity: Array, height: Array
+) -> None:
     """What each wheel alone tells: velocity of base_link [m/s], base_link axes, into `velocity` (4, 3), and its height
     above the contact [m], along the normal of the plane under the wheels, into `height` (4,). NaN where it does not touch.
 
-    `q`, `dq`, `tau`: (16,) SDK order; `gyro` (3,) without bias. All efforts exactly zero means that they are not
-    reported: every wheel counts.
+    `q`, `dq`, `tau`: (16,) as `hal.limbs.MOTORS`; `gyro` (3,) without bias. All efforts exactly zero means that they are
+    not reported: every wheel counts, as of a robot whose wheels sit on the body.
     """
-    centre = wheel_centres(q)
-    jacobian = wheel_jacobians(q)
+    centre = wheel_centres(limbs, q)
+    jacobian = wheel_jacobians(limbs, q)
     # Normal of the plane through the wheel centres, from its diagonals FL-RR and FR-RL.
     ax, ay, az = centre[1, 0] - centre[2, 0], centre[1, 1] - centre[2, 1], centre[1, 2] - centre[2, 2]
     bx, by, bz = centre[0, 0] - centre[3, 0], centre[0, 1] - centre[3, 1], centre[0, 2] - centre[3, 2]
@@ -67,7 +69,7 @@ def wheel_velocities(q: Array, dq: Array, tau: Array, gyro: Array, velocity: Arr
     nx, ny, nz = nx / length, ny / length, nz / length
     reported = False
     for k in range(16):
-        reported = reported or tau[k] != 0.0
+        reported = reported or (tau[k] != 0.0 and not is_rigid(limbs))
     velocity[:] = np.nan
     height[:] = np.nan
     for leg in range(4):
@@ -80,7 +82,7 @@ def wheel_velocities(q: Array, dq: Array, tau: Array, gyro: Array, velocity: Arr
         uy, uz = math.cos(hip), math.sin(hip)  # axle
         along = ny * uy + nz * uz
         gx, gy, gz = nx, ny - along * uy, nz - along * uz
-        scale = -WHEEL_RADIUS / math.sqrt(gx * gx + gy * gy + gz * gz)
+        scale = -limbs.radius / math.sqrt(gx * gx + gy * gy + gz * gz)
         gx, gy, gz = gx * scale, gy * scale, gz * scale  # wheel centre to contact
         spin = dq[3 * leg + 1] + dq[3 * leg + 2] + dq[12 + leg]
         wx, wy, wz = dq[3 * leg] + gyro[0], spin * uy + gyro[1], spin * uz + gyro[2]
@@ -100,6 +102,7 @@ def wheel_velocities(q: Array, dq: Array, tau: Array, gyro: Array, velocity: Arr
 
 @njit(cache=True)
 def leg_velocity(
+    limbs: Limbs,
     q: Array,
     dq: Array,
     tau: Array,
@@ -115,7 +118,7 @@ def leg_velocity(
     height above the plane under the wheels [m]; NaN (and infinite sigma) when no wheel touches.
     """
     each, heights = np.empty((4, 3)), np.empty(4)
-    wheel_velocities(q, dq, tau, gyro, each, heights)
+    wheel_velocities(limbs, q, dq, tau, gyro, each, heights)
     count = 0
     height = 0.0
     for leg in range(4):
@@ -144,6 +147,7 @@ def leg_velocity(
 
 @njit(cache=True)
 def velocities(
+    limbs: Limbs,
     joint_stamp: NDArray[np.int64],
     joints: Array,
     imu_stamp: NDArray[np.int64],
@@ -178,7 +182,9 @@ def velocities(
                 share = (t - imu_stamp[i - 1]) / (imu_stamp[i] - imu_stamp[i - 1])
                 gyro[k] = imu[i - 1, k] + share * (imu[i, k] - imu[i - 1, k]) - bias[k]
         j = joints[row]
-        height[row] = leg_velocity(j[:16], j[16:32], j[32:], gyro, noise, out[row], sigma[row], contact)
+        height[row] = leg_velocity(
+            limbs, j[:16], j[16:32], j[32:], gyro, noise, out[row], sigma[row], contact
+        )
         out[row, 0] *= scale
         out[row, 0] += gyro[1] * lever[2] - gyro[2] * lever[1]
         out[row, 1] += gyro[2] * lever[0] - gyro[0] * lever[2]
@@ -186,12 +192,12 @@ def velocities(
     return out, sigma, height
 
 
-def ways_of_wheels(joints: Array, gyro: Array, seconds: float) -> Array:
+def ways_of_wheels(limbs: Limbs, joints: Array, gyro: Array, seconds: float) -> Array:
     """(4,) way ahead [m] that each wheel rolled in `seconds`, by joint samples (m, 48) and the mean turn rate `gyro` (3,)
     without bias. A wheel that never touched has the mean of the others; NaN where none did."""
     each, height = np.empty((len(joints), 4, 3)), np.empty(4)
     for row, out in zip(joints, each, strict=True):
-        wheel_velocities(row[:16], row[16:32], row[32:], gyro, out, height)
+        wheel_velocities(limbs, row[:16], row[16:32], row[32:], gyro, out, height)
     ahead, touched = each[:, :, 0], np.isfinite(each[:, :, 0])
     if not touched.any():
         return np.full(4, np.nan)

@@ -12,13 +12,10 @@ import math
 import numpy as np
 from numba import njit
 
-from hal.go2w import HIP_Y, THIGH_Y, TREAD_Y
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import BASE, FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.prices import LONGEST_TREAD, SIZE_STEP, SIZES, angle_at, size_at, tread_at
 
-AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
-"""Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
 HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
 """Higher ones [m] are walls, which a move stays off."""
 BEYOND = 0.50
@@ -144,8 +141,8 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
     out[:] = 0.0
     share = posts = 0.0
     for wheel in range(4):
-        ahead = AXLE if wheel < 2 else -AXLE
-        aside = TREAD if wheel % 2 == 0 else -TREAD
+        ahead = prices.axle if wheel < 2 else -prices.axle
+        aside = prices.tread if wheel % 2 == 0 else -prices.tread
         xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
         found, holes, field, post = wheel_track(
             height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps
@@ -194,8 +191,8 @@ def _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
         along = (k + 0.5) * d / n
         known = True
         for wheel in range(4):
-            ahead = along + (AXLE if wheel < 2 else -AXLE)
-            aside = TREAD if wheel % 2 == 0 else -TREAD
+            ahead = along + (prices.axle if wheel < 2 else -prices.axle)
+            aside = prices.tread if wheel % 2 == 0 else -prices.tread
             c = math.floor((xa + ahead * ux - aside * uy - x0) / res + 0.5)
             r = math.floor((ya + ahead * uy + aside * ux - y0) / res + 0.5)
             if not (0 <= r < rows and 0 <= c < cols) or flags[r, c] & (FIELD | HOLE | UNSEEN | VIRTUAL):
@@ -207,8 +204,8 @@ def _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
             z[wheel] = height[r, c]
         if not known:
             continue
-        pitch = (z[0] + z[1] - z[2] - z[3]) / (4.0 * AXLE)
-        roll = (z[0] + z[2] - z[1] - z[3]) / (4.0 * TREAD)
+        pitch = (z[0] + z[1] - z[2] - z[3]) / (4.0 * prices.axle)
+        roll = (z[0] + z[2] - z[1] - z[3]) / (4.0 * prices.tread)
         steep = math.hypot(pitch, roll)
         if not steep > EVEN_TAN:  # NaN: not known
             continue

@@ -17,7 +17,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.blind import assume_blind
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
-from planning.graph.edge_price import AXLE, BEYOND, TREAD
+from planning.graph.edge_price import BEYOND
 from planning.graph.edges import MARGIN, SECTION, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
@@ -46,7 +46,7 @@ class Lattice:
         self.first = first_xy
         self.cells = Cells(0.5 * (params.expand_dist + params.robot_size))
         self.side = self.cells.side
-        self.prices = prices_of(params.controller, params.fall_cost)
+        self.prices = prices_of(params)
 
     def refresh(self, grid: ElevationGrid, changed: Sequence[Window], version: int) -> bool:
         """Compute again what depends on the changed windows or on new extent; False if there was nothing to do."""
@@ -174,7 +174,8 @@ class Lattice:
     def _beside(self) -> float:
         """[m] from an edge's end within which terrain matters to it: the wheels' tracks are looked at before and after
         it."""
-        return max(self._around, math.hypot(AXLE + BEYOND, TREAD) + self.cells.res)
+        p = self.params
+        return max(self._around, math.hypot(p.axle + BEYOND, p.tread) + self.cells.res)
 
 
 def _axes(grid: ElevationGrid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

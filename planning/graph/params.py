@@ -57,11 +57,20 @@ class GraphSettings(BaseModel):
     )
     length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
     width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
+    axle: float = Field(
+        default=0.21,
+        gt=0.0,
+        description="corrected: wheels touch ground so far before and behind base_link [m]",
+    )
+    tread: float = Field(
+        default=0.1928, gt=0.0, description="corrected: middle of the body to the middle of a wheel [m]"
+    )
+    tread_width: float = Field(default=0.0518, gt=0.0, description="corrected: width of a wheel [m]")
 
 
 class GraphParams(GraphSettings):
     """Settings of the graph and the limits of the robot that drives on it; the defaults suit every controller of the
-    Go2-W."""
+    robot of the paper."""
 
     max_step: float = Field(
         default=0.10,

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from hal.envelope import FAILURES, MAX_RISK, Envelope, Table, stored
+from planning.graph.params import GraphParams
 
 Array = NDArray[np.float64]
 
@@ -61,9 +62,12 @@ class Prices(NamedTuple):
     """(sizes,) [m/m] in a stepfield, by the height of its posts."""
     gap: Array
     """(sizes,) [m] of one wheel that crosses a gap, by its width."""
+    axle: float
+    tread: float
+    """Where the wheels touch the ground, before base_link and beside it [m]."""
 
 
-def free() -> Prices:
+def free(axle: float, tread: float) -> Prices:
     """Where nothing has a price: the paper's cost."""
     return Prices(
         False,
@@ -73,23 +77,26 @@ def free() -> Prices:
         np.zeros((2, SIZES, ANGLES)),
         np.zeros(SIZES),
         np.zeros(SIZES),
+        axle,
+        tread,
     )
 
 
-@cache
-def prices_of(controller: str | None, fall_cost: float) -> Prices:
-    """Prices by the stored envelope of a controller, None: none; `fall_cost` [m] is what a failure costs.
+def prices_of(params: GraphParams) -> Prices:
+    """Prices by the stored envelope of a controller. Raises EnvelopeError."""
+    return _prices(params.controller, params.fall_cost, params.axle, params.tread)
 
-    Raises EnvelopeError.
-    """
+
+@cache
+def _prices(controller: str | None, fall_cost: float, axle: float, tread: float) -> Prices:
     if controller is None or fall_cost == 0.0:
-        return free()
+        return free(axle, tread)
     envelope = stored(controller)
     share = {name: ending(table) for name, table in envelope.manoeuvres.items()}
     size = np.arange(SIZES) * SIZE_STEP
     angle = np.arange(ANGLES) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
-    out = free()._replace(measured=True)
+    out = free(axle, tread)._replace(measured=True)
 
     def price(name: str, sigma: float, *values: ArrayLike) -> Array:
         if name not in envelope.manoeuvres:
@@ -102,10 +109,10 @@ def prices_of(controller: str | None, fall_cost: float) -> Prices:
         for back, prefix in enumerate(("", "back_")):
             out.face[way, back] = 0.25 * price(prefix + name, MAP_SIGMA, size[:, None], across, 0.0)
         stairs = f"stairs_{name}"
-        riser, tread, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREADS), across)
-        out.stairs[way] = 0.25 * price(stairs, MAP_SIGMA, riser, tread, askew)
+        riser, depth, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREADS), across)
+        out.stairs[way] = 0.25 * price(stairs, MAP_SIGMA, riser, depth, askew)
         if stairs in envelope.manoeuvres:
-            ends = share[stairs] * envelope.bound(stairs, riser, tread, 0.0)
+            ends = share[stairs] * envelope.bound(stairs, riser, depth, 0.0)
             barred |= 1.0 - (1.0 - ends) ** FLIGHT > MAX_RISK
     out.stairs[:, barred[..., 0]] = np.inf
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)

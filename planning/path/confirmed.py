@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH, TREAD_WIDTH
 from hal.safety.planned import known_behind
+from hal.safety.swept import Body
 from mapping.grid import ElevationGrid
 from planning.graph.flags import ASSUMED, PLANTS, VIRTUAL
 from planning.graph.graph import TraversalGraph
+from planning.graph.params import GraphParams
 from planning.path.types import Path
-from planning.search.guarded import known_around
-from planning.search.wheels import AXLE, TREAD
+from planning.search.guarded import drives_over, known_around
 
 LEAD = (0.15, 0.30)
 """Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
@@ -30,8 +30,8 @@ UNSEEN = 0.2
 is felt by the body first."""
 CREEP = 0.35
 """[m] that a robot creeps until it asks again, half of its length."""
-TURN_SPACING, WHEEL = 0.05, (-TREAD_WIDTH / 2, 0.0, TREAD_WIDTH / 2)
-"""[rad] and [m] across a wheel between places that are looked at."""
+TURN_SPACING = 0.05
+"""[rad] between places that are looked at."""
 DRIFT = 0.07
 """[m] ahead and aside by which a wheel may come farther out while the robot turns on the spot: it drifted by 0.08 m beside a pit that nobody saw, and fell."""
 BENDS = 0.3
@@ -60,7 +60,7 @@ def confirmed(
     first = int(np.argmax(blocked)) if blocked.any() else len(blocked)
     every = max(1, round(SPACING / path.limits.spacing))
     for k in np.flatnonzero(sign[:first] < 0.0)[::every]:
-        if _behind(grid, path, int(k), graph.params.max_gap) < BACK:
+        if _behind(grid, path, int(k), graph.params) < BACK:
             blocked[k] = True
             break
     path = path.slowed(share > 0.0, UNSEEN)
@@ -74,9 +74,10 @@ def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
     leaves = cells.flags & PLANTS > 0
     if not leaves.any():
         return path
-    reach = 0.5 * BODY_LENGTH + SPACING
+    length, width = graph.params.length, graph.params.width
+    reach = 0.5 * length + SPACING
     along = np.linspace(-reach, reach, round(2.0 * reach / SPACING) + 1)
-    across = np.linspace(-BODY_WIDTH / 2, BODY_WIDTH / 2, round(BODY_WIDTH / SPACING) + 1)
+    across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x, y = path.points[:, :1] + u * c - v * s, path.points[:, 1:2] + u * s + v * c
@@ -122,11 +123,12 @@ def _hidden(
     return at_places(virtual, x, y, cells.origin, cells.res) & ~under
 
 
-def _behind(grid: ElevationGrid, path: Path, k: int, max_gap: float) -> float:
+def _behind(grid: ElevationGrid, path: Path, k: int, params: GraphParams) -> float:
     """[m] behind the body at point `k` of the path up to ground that the map does not know, as far as `BACK`."""
     x, y, _ = path.points[k].tolist()
-    around = known_around(grid, (x, y), BODY_LENGTH + max_gap)
-    return known_behind(around, (x, y, float(path.yaw[k])), max_gap, BACK)
+    around = known_around(grid, (x, y), params.length + params.max_gap)
+    body = Body.of(drives_over(params))
+    return known_behind(around, (x, y, float(path.yaw[k])), body, params.max_gap, BACK)
 
 
 def backs_up(path: Path) -> bool:
@@ -167,8 +169,9 @@ def _turns_onto_hidden(path: Path, graph: TraversalGraph, width: float) -> bool:
     if graph.cells is None or abs(turn) < BENDS:
         return False
     angles = path.yaw[0] - np.linspace(turn, 0.0, math.ceil(abs(turn) / TURN_SPACING) + 1)[:, None]
-    axle, tread = AXLE + DRIFT, TREAD + DRIFT
-    u, v = (a.ravel() for a in np.meshgrid((-axle, axle), np.add.outer((-tread, tread), WHEEL).ravel()))
+    p = graph.params
+    axle, tread, wheel = p.axle + DRIFT, p.tread + DRIFT, (-p.tread_width / 2, 0.0, p.tread_width / 2)
+    u, v = (a.ravel() for a in np.meshgrid((-axle, axle), np.add.outer((-tread, tread), wheel).ravel()))
     x = path.points[0, 0] + u * np.cos(angles) - v * np.sin(angles)
     y = path.points[0, 1] + u * np.sin(angles) + v * np.cos(angles)
     return bool(_hidden(path, float(path.yaw[0]) - turn, x, y, graph, width).any())

@@ -18,7 +18,7 @@ FEATURES = ("d_fb", "a_lr", "p_int", "u")
 
 
 class BodyModel(BaseModel):
-    """The body and how its risk is weighed. Defaults are the paper's values for the Go2-W."""
+    """The body and how its risk is weighed. Defaults are those of the paper."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -24,9 +24,10 @@ from hal.envelope import Envelope
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
-from planning.graph.edge_price import AXLE, HIGHEST_FACE, TREAD, room_for, wheel_track
+from planning.graph.edge_price import HIGHEST_FACE, room_for, wheel_track
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import FIELD
+from planning.graph.params import GraphParams
 from planning.graph.prices import ending, hazards
 from planning.risk.pose_sets import turn_angle
 from planning.risk.turns import ASKEW, BEND
@@ -44,8 +45,6 @@ LEAST_TOLD = 0.001
 """What fails more seldom is no place to tell of."""
 NEAR = 0.6
 """Parts of one kind within so much [m] are told as one place."""
-WHEELS = np.array([(a, b) for a in (AXLE, -AXLE) for b in (TREAD, -TREAD)])
-"""(4, 2) where the wheels touch the ground, ahead of base_link and to its left [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +85,10 @@ class Way:
     """[rad], NaN = any."""
 
 
-def chance(envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way) -> Chance:
-    """How likely a way fails. `cells`: of the graph on `grid`; `envelope`: of the controller that drives."""
+def chance(envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way, params: GraphParams) -> Chance:
+    """How likely a way fails. `cells` and `params`: of the graph on `grid`; `envelope`: of the controller that drives."""
     count = len(way.back)
-    parts = [p for p in Drive(envelope, grid, cells, way).parts() if p.hazard > 0.0]
+    parts = [p for p in Drive(envelope, grid, cells, way, params).parts() if p.hazard > 0.0]
     each = np.zeros(count)
     for part in parts:
         each[part.transition] += part.hazard
@@ -114,8 +113,13 @@ def _worst(parts: list[Part]) -> str:
 class Drive:
     """One way over one map."""
 
-    def __init__(self, envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way) -> None:
+    def __init__(
+        self, envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way, params: GraphParams
+    ) -> None:
         self._envelope, self._grid, self._cells, self._way = envelope, grid, cells, way
+        axle, tread = params.axle, params.tread
+        self._wheels = np.array([(a, b) for a in (axle, -axle) for b in (tread, -tread)])
+        """(4, 2) where the wheels touch the ground, ahead of base_link and to its left [m]."""
         self._share = {name: ending(table) for name, table in envelope.manoeuvres.items()}
         reach = max(1, round(0.06 / grid.resolution))
         self._reach = reach
@@ -205,7 +209,7 @@ class Drive:
             u, back = (b - a) / d, bool(way.back[move])
             aside = np.array([-u[1], u[0]])
             crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))
-            for wheel in WHEELS:
+            for wheel in self._wheels:
                 w = a + wheel[0] * u + wheel[1] * aside
                 track = (float(w[0]), float(w[1]), float(u[0]), float(u[1]), d)
                 found, holes, _, _ = wheel_track(*ground, *track, crossed, gaps)

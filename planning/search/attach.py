@@ -71,7 +71,7 @@ def dear_to_turn(graph: TraversalGraph, grid: ElevationGrid, stand: tuple[float,
     col, row = (math.floor((v - o) / c.res + 0.5) for v, o in ((x, c.origin[0]), (y, c.origin[1])))
     if c.flags[row, col] & FIELD:
         return False
-    prices = prices_of(p.controller, p.fall_cost)
+    prices = prices_of(p)
     bend, _ = turn_price(grid.height, grid.trusted, *c.origin, c.res, x, y, prices, p.climbed)
     return float(bend) >= DEAR_BEND
 
@@ -116,7 +116,7 @@ class Ground:
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
         self._sums = np.empty((rank, COLUMNS))
         self._stand = stand
-        self._prices = prices_of(graph.params.controller, graph.params.fall_cost)
+        self._prices = prices_of(graph.params)
         if stand is not None:
             self._flags = self._flags.copy()
             self._free(*stand)

@@ -151,7 +151,7 @@ def with_chance(found: Plan, graph: TraversalGraph, grid: ElevationGrid, envelop
         start,
         goal if found.reaches_goal else math.nan,
     )
-    return replace(found, chance=chance(envelope, grid, graph.cells, way))
+    return replace(found, chance=chance(envelope, grid, graph.cells, way, graph.params))
 
 
 def describe(

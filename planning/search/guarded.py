@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hal.safety.planned import free_turn, mapped
-from hal.safety.swept import Surroundings
+from hal.safety.swept import Body, Surroundings
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.graph.describe import HEADINGS
@@ -38,9 +38,23 @@ def guarded_turn(
     The guard keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when 0.14 rad of a turn are left
     (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
-    robot = Capabilities("", max_step=params.max_step, max_slope=params.max_slope, max_gap=params.max_gap)
+    robot = drives_over(params)
     around, pose = known_around(grid, xy, REACH), (*xy, yaw)
-    return min(free_turn(around, pose, turn, robot, spare), wheels_turn(around, pose, turn, params.max_slope))
+    return min(
+        free_turn(around, pose, turn, robot, spare), wheels_turn(around, pose, turn, Body.of(robot), params)
+    )
+
+
+def drives_over(params: GraphParams) -> Capabilities:
+    """What the guard asks of a robot: its body, and what it drives over."""
+    return Capabilities(
+        "",
+        length=params.length,
+        width=params.width,
+        max_step=params.max_step,
+        max_slope=params.max_slope,
+        max_gap=params.max_gap,
+    )
 
 
 def without(room: np.uint64, yaw: float, turn: float, free: float) -> np.uint64:

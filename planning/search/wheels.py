@@ -8,22 +8,22 @@ import math
 import numpy as np
 from numba import njit
 
-from hal.go2w import TREAD_WIDTH
 from hal.safety.planned import Pose
-from hal.safety.swept import Surroundings, turn_step
-from planning.graph.edge_price import AXLE, TREAD
+from hal.safety.swept import Body, Surroundings, turn_step
+from planning.graph.params import GraphParams
 
 TURN_FACE = 0.09
 """[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar
 (`docs/simulated_robot.md`); 3 cm are the noise of the map."""
 
 
-def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float) -> float:
-    """How far [rad], at most the size of `turn`, a body at `pose` turns on the spot, to the left where `turn` is
-    positive, before one of its wheels comes to a face above `TURN_FACE`. Ground may rise as steeply as `max_slope`
-    [rad] besides.
+def wheels_turn(around: Surroundings, pose: Pose, turn: float, body: Body, params: GraphParams) -> float:
+    """How far [rad], at most the size of `turn`, a `body` at `pose` turns on the spot, to the left where `turn` is
+    positive, before one of its wheels comes to a face above `TURN_FACE`. Ground may rise as steeply as
+    `params.max_slope` besides.
     """
-    steps = math.ceil(abs(turn) / turn_step())
+    each = turn_step(body)
+    steps = math.ceil(abs(turn) / each)
     at = wheel_face(
         around.height,
         around.origin[0],
@@ -32,25 +32,28 @@ def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float)
         float(pose[0]),
         float(pose[1]),
         float(pose[2]),
-        math.copysign(turn_step(), turn),
+        math.copysign(each, turn),
         steps,
         TURN_FACE,
-        math.tan(max_slope),
+        math.tan(params.max_slope),
+        params.axle,
+        params.tread,
+        params.tread_width,
     )
-    return min(at * turn_step(), abs(turn))
+    return min(at * each, abs(turn))
 
 
 @njit(cache=True)
 def wheel_face(
-    height, x0, y0, resolution, x, y, yaw, step, steps, limit, grade
+    height, x0, y0, resolution, x, y, yaw, step, steps, limit, grade, axle, tread, width
 ):  # pragma: no cover - compiled
     """Number of steps of `step` [rad] after which a wheel meets a face of more than `limit` [m] within two cells, less
     what the ground rises by `grade`; `steps` where none does."""
     rows, cols = height.shape
     first = steps
     for wheel in range(12):
-        u = AXLE if wheel % 2 == 0 else -AXLE
-        v = TREAD * (1.0 if wheel % 4 < 2 else -1.0) + 0.5 * TREAD_WIDTH * (wheel // 4 - 1)
+        u = axle if wheel % 2 == 0 else -axle
+        v = tread * (1.0 if wheel % 4 < 2 else -1.0) + 0.5 * width * (wheel // 4 - 1)
         radius, angle = math.hypot(u, v), yaw + math.atan2(v, u)
         back = math.ceil(2.0 * resolution / (radius * abs(step)))
         ground = np.full(steps + 1, np.nan)

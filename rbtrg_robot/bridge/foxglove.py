@@ -22,7 +22,6 @@ from websockets.sync.server import ServerConnection, serve
 
 from hal.errors import OperatorError
 from hal.types import NS
-from hal.urdf import urdf
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.legs import Legs
 from rbtrg_robot.crowd import CrowdedSocket
@@ -130,13 +129,14 @@ class Foxglove:
         self._back = {topic.name: topic for topic in (*STOP, *(BACK if commands else ()))}
         for topic in self._back.values():
             bus.advertise(topic)
-        bus.subscribe([t.ROBOT_STATE])  # its stamps are the clock of the clients
-        self._subscribed: set[Topic] = {t.ROBOT_STATE}
+        # The stamps of the state are the clock of the clients, the description tells the frames of the limbs.
+        self._subscribed: set[Topic] = {t.ROBOT_STATE, t.DESCRIPTION}
+        bus.subscribe(sorted(self._subscribed, key=lambda topic: topic.name))
         self._wanted: queue.SimpleQueue[Topic] = queue.SimpleQueue()
         self._outbox: queue.SimpleQueue[tuple[Topic, Any]] = queue.SimpleQueue()
         self._newest: dict[Topic, Received[Any]] = {}
         self._clients: list[Client] = []
-        self._legs = Legs(urdf())
+        self._legs: Legs | None = None
         self._legs_due = 0
         self._lock = threading.Lock()
         self._stop: Stop | None = None
@@ -211,8 +211,10 @@ class Foxglove:
             self._newest[received.topic] = received
         for client in self._clients:
             _give(client, received)
-        if received.topic is t.JOINTS:
-            self._show_legs(received)
+        if received.topic is t.DESCRIPTION and (description := self._bus.open(received)) is not None:
+            self._legs = Legs(description.data)
+        if received.topic is t.JOINTS and self._legs is not None:
+            self._show_legs(self._legs, received)
         if received.topic is t.ROBOT_STATE:
             for client in self._clients:
                 client.put(CLOCK, struct.pack("<BQ", TIME, max(received.stamp, 0)), 1)
@@ -221,13 +223,13 @@ class Foxglove:
                 if state is not None:
                     self._stop.take(received.topic, state)
 
-    def _show_legs(self, joints: Received[Any]) -> None:
+    def _show_legs(self, legs: Legs, joints: Received[Any]) -> None:
         """The app has no `robot_state_publisher`: its clients get the frames of the links here. The bus does not."""
         state = self._bus.open(joints)
         if state is None or 0 <= joints.stamp - self._legs_due < LEGS_PERIOD:
             return
         self._legs_due = joints.stamp
-        frames = Received(t.TF, messages.encode(self._legs.frames(state)), joints.stamp, 0)
+        frames = Received(t.TF, messages.encode(legs.frames(state)), joints.stamp, 0)
         for client in self._clients:
             _give(client, frames)
 

@@ -18,19 +18,18 @@ def register(app: typer.Typer) -> None:
 
 @policy_app.command("get")
 def policy_get(
-    name: Annotated[str, typer.Argument(help="Of the policy: go2w_rl_sar.")],
+    name: Annotated[str, typer.Argument(help="Of the policy; a wrong one lists those that are known.")],
     source: Annotated[
         str,
         typer.Option(help="Another URL that holds the repository's files; they are checked all the same."),
     ] = "",
+    model: Annotated[str, typer.Option("--robot-model", help="Name or folder of the robot.")] = "go2w",
 ) -> None:
     """Fetch a public policy, check it, keep it in the data folder. `--policy NAME` then finds it."""
-    from hal.locomotion import public
+    from hal.robots import RobotError, describe
 
-    policy = public.published(name)
-    say(f"{name} from {source or policy.source}")
-    say(f"licence: {policy.licence}")
-    folder, fetched = public.get(name, source)
-    say(
-        f"{folder}: {'fetched and checked' if fetched else 'already there, checked'}; the licence is in LICENSE"
-    )
+    robot = describe(model)
+    if not robot.fetches:
+        raise RobotError(f"robot {robot.name} knows no public policies: `fetches` in its robot.yaml is empty")
+    for line in robot.load(robot.fetches)(name, source):
+        say(line)

@@ -168,11 +168,7 @@ def _check(config: StackConfig) -> None:
             say(f"{scene.description}; taken so: {scene.taken}")
         if scene.mesh is not None:
             scene.caster()
-        if config.controller != "vmc":
-            from hal.locomotion.controllers import policy_of
-            from hal.locomotion.policy import PolicyController
-
-            PolicyController(policy_of(config.controller, config.policy_dir))
+        config.facts.check(config.controller, config.policy_dir)
         if config.viewer:
             from hal.mujoco.view.render import require_display
 

@@ -84,7 +84,7 @@ def source_of(config: StackConfig, camera: MountedCamera) -> CameraSource:
         from hal.mujoco.view.camera import RenderedCamera
         from rbtrg_robot.hosts.robot import BEGIN
 
-        return RenderedCamera(camera, config.load_scene(), config.sim.obstacles, BEGIN)
+        return RenderedCamera(camera, config.load_scene(), config.sim.obstacles, BEGIN, config.facts)
     from hal.unitree.video import HeadCamera
 
     return HeadCamera(camera, config.interface, config.unitree_options().dds_domain(config.interface))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hal.go2w import STAND, stand_height
+from hal.limbs import stand_height
 from hal.rotation import rotation
 from hal.scenes.picture import GREEN, ORANGE, RED, WHITE, TopView
 from hal.types import Array
@@ -59,7 +59,7 @@ class _Reader:
         self.frame = MapFrame()
         self.refused = 0
         self.scans = 0
-        self._recording, self._run = recording, run
+        self._recording, self._run, self._robot = recording, run, config.facts
         self._sensors = {lidar.name: Sensor.of(lidar) for lidar in config.mounted_lidars()}
         self._names = {t.CLOUDS[name]: name for name in self._sensors}
         self._waiting = Scans(self._sensors)
@@ -98,8 +98,9 @@ class _Reader:
             self.refused += 1
             return
         joints = scan.joints
-        below = stand_height(STAND if joints is None else joints.position)
-        contacts = np.empty((0, 3)) if joints is None else wheel_contacts(joints)
+        limbs = self._robot.limbs
+        below = stand_height(limbs, self._robot.pose if joints is None else joints.position)
+        contacts = np.empty((0, 3)) if joints is None else wheel_contacts(limbs, joints)
         clouds = [(self._sensors[name], points) for name, points in scan.clouds.items()]
         self.scans += 1
         self._recording.add(self._run, scan.stamp, pose, clouds, below, contacts)

@@ -46,7 +46,7 @@ def build(
     watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
     backend = _simulator(config, restored or {}, begin) if config.simulated else _hardware(config, clock)
     gate = SafetyGate(backend.capabilities, config.gate, config.fence(), guarded=GUARD in watched)
-    return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
+    return RobotStage(backend, gate, simulated=config.simulated, watched=watched, robot=config.facts)
 
 
 def _simulator(config: StackConfig, restored: dict[Topic, bytes], begin: int) -> Backend:
@@ -61,6 +61,7 @@ def _simulator(config: StackConfig, restored: dict[Topic, bytes], begin: int) ->
     return MujocoBackend(
         config.load_scene(),
         config.sim,
+        robot=config.facts,
         controller=config.controller,
         policy_dir=config.policy_dir,
         lidars=config.lidars,

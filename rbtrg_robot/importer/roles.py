@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hal.errors import OperatorError
-from hal.go2w import MOTORS
+from hal.limbs import MOTORS
 from hal.types import GRAVITY, NS
 from hal.unitree.api import WireError
 from hal.unitree.cloud import TIME_NAMES, RawCloud, decode_cloud

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.go2w import MOTORS
 from hal.lidar.config import LidarConfig
+from hal.limbs import MOTORS
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import GRAVITY, NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from hal.unitree.api import WireError
@@ -257,7 +257,7 @@ class Converter:
             joints = decode(data, msg.JointState)
             place = {name: k for k, name in enumerate(joints.name)}
             if not set(MOTORS) <= set(place):
-                raise WireError("it lacks some of the motors of a Go2-W")
+                raise WireError("it lacks some of the joints of `hal.limbs.MOTORS`")
             order = [place[motor] for motor in MOTORS]
             full = []
             for values in (joints.position, joints.velocity, joints.effort):

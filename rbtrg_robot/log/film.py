@@ -25,7 +25,7 @@ def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = Non
     config = load(base=of_log(first_of(log).attachments.get(CONFIG, b""))[0])
     if not config.simulated:
         raise ConfigError(f"{log} is not the log of a simulated robot: there is no scene to draw")
-    made = Film(config.load_scene())
+    made = Film(config.load_scene(), robot=config.facts)
     for entry in read_run(log):
         with contextlib.suppress(MessageError, LayoutError):  # what was recorded broken is not drawn
             if entry.topic == t.JOINTS.name:

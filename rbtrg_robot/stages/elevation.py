@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import stand_height
+from hal.limbs import Limbs, stand_height
+from hal.robots import describe
 from hal.safety.geofence import GeofenceError
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
@@ -79,11 +80,13 @@ class ElevationStage:
         name: str = "",
         later: Callable[[], ElevationMap] | None = None,
         areas: Sequence[msg.GroundArea] = (),
+        limbs: Limbs | None = None,
     ) -> None:
         """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds
         none. start: x, y [m], yaw [rad] of the robot in `map` as configured. `later`: reads the prior map, which
         `elevation` does not hold yet, for a process that was started anew: it gets its map from the planner, the prior
-        one in it, and needs no other. `areas`: those that were drawn on the prior map.
+        one in it, and needs no other. `areas`: those that were drawn on the prior map. `limbs`: None takes those of
+        the default robot.
         """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
@@ -92,6 +95,7 @@ class ElevationStage:
             t.AREAS_REQUEST,
         )
         self.map = elevation
+        self._limbs = limbs or describe().limbs
         self._params = params
         self._lidars = lidars
         self._topics = clouds
@@ -132,7 +136,7 @@ class ElevationStage:
         """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
         self.map.warm_up()
         warm_up()
-        stage = ElevationStage(ElevationMap(self.map.params), self._params, self._lidars)
+        stage = ElevationStage(ElevationMap(self.map.params), self._params, self._lidars, limbs=self._limbs)
         for topic, message in rehearsal(tuple(self._topics)):
             stage.on(topic, decode(encode(message), topic.kind))
 
@@ -219,7 +223,7 @@ class ElevationStage:
         self.map.grant(self._silent.get("head", 0) < SILENT_SCANS and not self._crept)
         if joints is not None:
             start = None if looks and not self._crept else False
-            self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp, start)
+            self.map.fuse_ground(wheel_contacts(self._limbs, joints), position, orientation, stamp, start)
         if self._locate(odom, seen, joints):
             return self._begin("the robot was found")
         outputs: Outputs = []
@@ -239,7 +243,7 @@ class ElevationStage:
         """Look for the robot in the prior map. Returns whether it was found just now where it was thought to be."""
         before = self._location.state
         if joints is not None:
-            self._location.scan(odom, seen, stand_height(joints.position))
+            self._location.scan(odom, seen, stand_height(self._limbs, joints.position))
         now = self._location.state
         if now is not before:
             self._status_due = 0
@@ -457,4 +461,5 @@ def _build(
         Path(config.map_file).name,
         later,
         read_areas(Path(config.map_file)) if config.map_file else (),
+        config.facts.limbs,
     )

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH
+from hal.limbs import Limbs
 from hal.safety import monitors
 from hal.safety.gate_types import MotionLimits
 from hal.safety.touch import FACE, Touch, TouchWatch
@@ -30,8 +30,9 @@ class Feeling:
     """In: IMU, joints, what is driven, the guard's limits. Out: what was touched. It decides whether the map explains
     what holds the robot."""
 
-    def __init__(self) -> None:
-        self._watch = TouchWatch()
+    def __init__(self, limbs: Limbs, sprung_mass: float, length: float) -> None:
+        """sprung_mass: see `TouchWatch`; length: of the body [m]."""
+        self._watch, self._half = TouchWatch(limbs, sprung_mass), length / 2
         self._limits: MotionLimits | None = None
         self._last: tuple[Touch, int, str] | None = None
         """The last touch, when [ns] it was, and in words."""
@@ -60,7 +61,7 @@ class Feeling:
         where = "a place that nobody knows"
         if (place := place_of()) is not None:
             (x, y, z), yaw = place[0].tolist(), place[1]
-            ahead = touch.way * BODY_LENGTH / 2
+            ahead = touch.way * self._half
             x += ahead * math.cos(yaw) - touch.left * math.sin(yaw)
             y += ahead * math.sin(yaw) + touch.left * math.cos(yaw)
             towards = yaw_quaternion(yaw if touch.way > 0.0 else yaw + math.pi)

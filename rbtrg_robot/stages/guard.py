@@ -20,7 +20,6 @@ from hal.rotation import rotation
 from hal.safety.contact import contact_at
 from hal.safety.monitors import GUARD_BLIND, HOLE_WIDTH, MAIN_SILENT
 from hal.safety.swept import (
-    BODY,
     BODY_CLEARANCE,
     HOLE,
     LIDAR,
@@ -101,6 +100,7 @@ class GuardStage:
         self.inputs = (t.MAP_WINDOW, *self._sweeps, t.ODOM, t.POSE, t.TF_STATIC, t.MAP_STATUS)
         self._params = params
         self._robot = robot
+        self._body = Body.of(robot)
         self._frame = MapFrame()
         self._now = 0
         self._pose: msg.Odometry | None = None
@@ -125,18 +125,18 @@ class GuardStage:
         self._ahead = round(params.pose_timeout * NS)
         p = params
         around = robot.max_wz * p.reaction + robot.max_wz**2 / (2 * robot.max_alpha) + self._turn_margin
-        ways: tuple[tuple[str, Callable[[Body], Array], float], ...] = (
+        ways: tuple[tuple[str, Callable[[Body, Body | None], Array], float], ...] = (
             ("ahead", partial(straight_tracks, FAR, 1.0), SPACING),
             ("behind", partial(straight_tracks, FAR, -1.0), SPACING),
-            ("to the left", partial(turn_tracks, around, 1.0), turn_step()),
-            ("to the right", partial(turn_tracks, around, -1.0), turn_step()),
+            ("to the left", partial(turn_tracks, around, 1.0), turn_step(self._body)),
+            ("to the right", partial(turn_tracks, around, -1.0), turn_step(self._body)),
         )
-        self._ways = [(where, tracks, tracks(BODY), step) for where, tracks, step in ways]
+        self._ways = [(where, tracks, tracks(self._body, None), step) for where, tracks, step in ways]
 
     @property
     def _turn_margin(self) -> float:
         """[rad] that keeps the corners of the body `margin` away."""
-        return self._params.margin * turn_step() / SPACING
+        return self._params.margin * turn_step(self._body) / SPACING
 
     def warm_up(self) -> None:
         """Compile the kernels."""
@@ -146,14 +146,14 @@ class GuardStage:
         around = Surroundings(flat, np.full_like(flat, np.nan), free, free.copy(), (-0.2, -0.2), 0.2)
         fill_unknown(flat, around.bound)
         here = (0.0, 0.0, 0.0)
-        stand = stand_of(around, here, np.array([0.0, 0.0, 1.0]))
+        stand = stand_of(around, here, np.array([0.0, 0.0, 1.0]), self._body)
         contact = contact_at(around, here, stand, self._robot)
         wall = NO_WALL if contact is None else contact.wall
         for _, tracks, whole, step in self._ways:
             reach_of(whole, step, around, here, stand, self._robot, seen=False)
-            swept = shells(tracks, BODY)
+            swept = shells(tracks, self._body, self._body)
             reach_of(swept, step, around, here, stand, self._robot, seen=False, wall=wall)
-            leaves_on(whole, step, replace(around, source=np.full_like(free, PLANTS)), here)
+            leaves_on(whole, step, replace(around, source=np.full_like(free, PLANTS)), here, self._body)
         self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat, flat)
 
     def close(self) -> None:
@@ -263,7 +263,7 @@ class GuardStage:
         here, orientation = self._place()
         slow_by_sight = self._main_silent()
         self._sweep(main=not slow_by_sight)
-        stand = stand_of(self._around, here, rotation(orientation)[:, 2])
+        stand = stand_of(self._around, here, rotation(orientation)[:, 2], self._body)
         reaches = [
             reach_of(whole, step, self._around, here, stand, self._robot, seen=k == 1)
             for k, (_, _, whole, step) in enumerate(self._ways)
@@ -285,7 +285,7 @@ class GuardStage:
                 # Beside a wall it is as straight as a cell of the map lets it be.
                 body = contact.body if turning else contact.between(self._around.resolution)
                 reach = reach_of(
-                    shells(tracks, body),
+                    shells(tracks, self._body, body),
                     step,
                     self._around,
                     here,
@@ -297,13 +297,13 @@ class GuardStage:
                 slow = min(self._speed(reach, turning=turning), creeping)
                 if slow > speed:
                     speed, why = slow, f"a wall that the body touches {where}"
-            leaves = leaves_on(whole, step, self._around, here)
+            leaves = leaves_on(whole, step, self._around, here, self._body)
             slow = max(LEAVES[turning], self._stops_in(leaves, turning=turning))
             if slow < speed:
                 speed, why = slow, f"grass {where}"
             speeds.append(min(speed, creeping) if slow_by_sight else speed)
             words += [why] if why else []
-        ahead, back = uneven(self._around, here)
+        ahead, back = uneven(self._around, here, self._body)
         limits = msg.MotionLimits(
             header=header(now, BASE),
             forward=speeds[0],

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from hal.camera import MountedCamera
+from hal.robots import urdf
 from hal.rotation import quaternion as from_matrix
 from hal.rotation import wrap
 from hal.types import Extrinsics, MountedLidar
-from hal.urdf import urdf
 from mapping.elevation.exchange import MapError
 from mapping.elevation.poses import checked_pose
 from mapping.grid import FARTHEST
@@ -69,8 +69,11 @@ class OdometryStage:
         imu: Extrinsics,
         start: tuple[float, float, float],
         cameras: tuple[MountedCamera, ...] = (),
+        description: str = "",
     ) -> None:
-        """`start`: x, y [m], yaw [rad] of the robot in `map`. `cameras`: of them only the frames are told."""
+        """`start`: x, y [m], yaw [rad] of the robot in `map`. `cameras`: of them only the frames are told.
+        `description`: URDF of the robot."""
+        self._description = description
         self._cameras = cameras
         names = [lidar.name for lidar in lidars]
         own = (t.WHEELS,) if isinstance(odometry, WheelsAlone) else ()
@@ -172,7 +175,7 @@ class OdometryStage:
         if self._announced:
             return []
         self._announced = True
-        return [(t.TF_STATIC, self._frames(now)), (t.DESCRIPTION, msg.String(data=urdf()))]
+        return [(t.TF_STATIC, self._frames(now)), (t.DESCRIPTION, msg.String(data=self._description))]
 
     def _frames(self, now: int) -> msg.TFMessage:
         x, y, yaw = self._start
@@ -272,8 +275,14 @@ def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     lidars = config.mounted_lidars()
     kind = ALONE.get(config.odometry.without, LidarInertialOdometry)
-    odometry = kind(config.odometry, {lidar.name: lidar.mount for lidar in lidars}, config.own_parts)
+    size = config.facts.body.length, config.facts.body.width
+    odometry = kind(config.odometry, {lidar.name: lidar.mount for lidar in lidars}, config.own_parts, size)
     camera = config.camera.mounted()
     return OdometryStage(
-        odometry, lidars, config.imu_mount(), config.start_pose(), () if camera is None else (camera,)
+        odometry,
+        lidars,
+        config.facts.imu,
+        config.start_pose(),
+        () if camera is None else (camera,),
+        urdf(config.facts),
     )

@@ -11,7 +11,8 @@ import numpy as np
 
 from hal.envelope import Envelope
 from hal.safety.planned import free_turn, known_behind, mapped
-from hal.types import NS, Capabilities
+from hal.safety.swept import Body
+from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams
@@ -24,6 +25,7 @@ from planning.path import (
     still_safe,
 )
 from planning.risk.body import BodyModel
+from planning.search.guarded import drives_over
 from planning.search.plan import DriveRules, Plan, PlanRequest
 from planning.search.to_go import through_virtual
 from rbtrg_robot import msg
@@ -150,8 +152,9 @@ class PlannerStage:
         # The made-up ground has no virtual part, so no plan came to this.
         through_virtual(graph, np.ones(len(graph.nodes), np.bool_), np.zeros(len(graph.nodes)), 1.0)
         around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)
-        known_behind(around, here, stage._map.params.max_gap, 0.1)
-        free_turn(around, here, 1.0, Capabilities("", max_step=stage._map.params.max_step))
+        robot = drives_over(stage._map.params)
+        known_behind(around, here, Body.of(robot), robot.max_gap, 0.1)
+        free_turn(around, here, 1.0, robot)
 
     @property
     def terrain(self) -> MapGraph:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.contract import UP, Backend
-from hal.go2w import WHEEL_RADIUS, WHEELS
+from hal.limbs import WHEELS
+from hal.robots import Robot, describe
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate
 from hal.safety.gate_types import MotionLimits
 from hal.safety.mux import TELEOP, TRACKER
@@ -76,9 +77,17 @@ class RobotStage:
     )
 
     def __init__(
-        self, backend: Backend, gate: SafetyGate, *, simulated: bool, watched: frozenset[str]
+        self,
+        backend: Backend,
+        gate: SafetyGate,
+        *,
+        simulated: bool,
+        watched: frozenset[str],
+        robot: Robot | None = None,
     ) -> None:
-        """`watched`: processes without which the robot must not move."""
+        """`watched`: processes without which the robot must not move; `robot`: what it is, None: the default one."""
+        robot = robot or describe()
+        self._radius = robot.limbs.radius
         self.backend = backend
         self._gate = gate
         self._fence = gate.geofence
@@ -93,7 +102,7 @@ class RobotStage:
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
-        self._feeling = Feeling()
+        self._feeling = Feeling(robot.limbs, robot.body.sprung_mass, robot.body.length)
         self._limits: dict[str, MotionLimits] = {}
         """The newest of each sender: a guard that was started anew is another one than before."""
         self._now = 0
@@ -297,7 +306,7 @@ class RobotStage:
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
-            self._rolls = float(sample.velocity[WHEELS].mean()) * WHEEL_RADIUS
+            self._rolls = float(sample.velocity[WHEELS].mean()) * self._radius
             # Where the wheels feel an edge their reflex moves the robot, not the command.
             reflex = self.backend.state().cause.startswith(FELT_EDGE)
             driven = VelocityCommand(self._now) if reflex else self._driven

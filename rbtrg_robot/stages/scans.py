@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import MOTORS
+from hal.limbs import MOTORS
 from hal.types import JointSample, LidarName
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t

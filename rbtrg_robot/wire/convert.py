@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import MOTORS
+from hal.limbs import MOTORS
 from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarName, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from mapping.grid import FARTHEST
@@ -135,7 +135,7 @@ def joint_msg(sample: JointSample) -> msg.JointState:
 def joint_sample(message: msg.JointState) -> JointSample:
     """The sample in a JointState. Raises LayoutError where names or lengths differ."""
     if tuple(message.name) != tuple(MOTORS):
-        raise LayoutError("joint names are not the Go2-W's motors in SDK order")
+        raise LayoutError("joint names are not those of `hal.limbs.MOTORS`, in order")
     if any(len(v) != len(MOTORS) for v in (message.position, message.velocity, message.effort)):
         raise LayoutError("position, velocity and effort must have one value per motor")
     return JointSample(stamp_of(message), message.position, message.velocity, message.effort)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hal.contract import Backend, BackendError
-from hal.go2w import BODY_LENGTH, JOINT_RANGE, WHEEL_RADIUS, WHEELS
+from hal.robots.go2w.facts import BODY_LENGTH, JOINT_RANGE, WHEEL_RADIUS, WHEELS
 from hal.types import (
     NS,
     POINT_DTYPE,

@@ -20,13 +20,11 @@ from hal.envelope import (
     EnvelopeError,
     Fit,
     Table,
-    file_of,
     limits,
     read,
     stored,
 )
-from hal.locomotion.abilities import ABILITIES, KEPT
-from hal.lowlevel import CONTROLLERS
+from hal.robots import describe, envelope_file
 
 HEIGHT = Axis(name="height", unit="m", values=(0.05, 0.10, 0.15, 0.20))
 ANGLE = Axis(name="angle", unit="deg", values=(0, 30, 60))
@@ -290,21 +288,21 @@ def test_an_assumed_envelope_has_no_larger_limits_than_the_measured_one() -> Non
     assert all(limits(assumed)[name] <= value for name, value in limits(e).items() if name != "step_vx")
 
 
-@pytest.mark.parametrize("controller", [*CONTROLLERS, SPORT])
+@pytest.mark.parametrize("controller", [*describe().own, SPORT])
 def test_each_controllers_file_holds_every_manoeuvre(controller: str) -> None:
     e = stored(controller)
     assert e.controller == controller
     assert set(e.manoeuvres) == set(PARTS)
     assert all(table.trials.sum() > 0 for table in e.manoeuvres.values())
     assert all(bool(table.assumed) == (controller == SPORT) for table in e.manoeuvres.values())
-    assert file_of(controller).stat().st_size < 64_000
+    assert envelope_file(controller).stat().st_size < 64_000
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("controller", describe().own)
 def test_numbers_of_the_capabilities_are_kept_only_where_other_ones_were_measured(controller) -> None:
-    able = ABILITIES[controller]
+    declared = describe().controllers[controller].capabilities
     for name, value in limits(stored(controller)).items():
-        if name in KEPT[controller]:
-            assert getattr(able, name) == KEPT[controller][name] != pytest.approx(value), name
+        if name in declared:
+            assert declared[name] != pytest.approx(value), name
         else:
-            assert getattr(able, name) == value, name
+            assert getattr(describe().capabilities(controller), name) == value, name

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hal.errors import OperatorError
-from hal.locomotion.controllers import OURS
-from hal.locomotion.torchfile import PolicyError, _rebuild_tensor, read_mlp
-from hal.locomotion.weights import load_weights
 from hal.npzfile import DamagedFile, read_npy, read_npz
+from hal.robots.go2w.locomotion.controllers import OURS
+from hal.robots.go2w.locomotion.torchfile import PolicyError, _rebuild_tensor, read_mlp
+from hal.robots.go2w.locomotion.weights import load_weights
 from hal.scenes import load_scene
 from mapping.elevation.files import load_into, read_cloud
 from mapping.elevation.tiles import TileStore

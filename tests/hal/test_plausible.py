@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.go2w import MOTORS
 from hal.plausible import ImuCheck, impossible_joints, lost_motor
+from hal.robots.go2w.facts import MOTORS
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import (
     ACCELERATION,

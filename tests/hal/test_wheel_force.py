@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hal import go2w
+from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation, up_of
 from hal.wheel_force import axle_force, wheel_loads
 
@@ -34,7 +34,7 @@ def test_wheel_loads_are_the_forces_that_made_the_torques() -> None:
             tau[3 * leg : 3 * leg + 3] = -jacobian[leg].T @ force[leg]
         up = rng.normal(size=3)
         up /= np.linalg.norm(up)
-        np.testing.assert_allclose(wheel_loads(q, tau, up), force @ up, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(wheel_loads(go2w.LIMBS, q, tau, up), force @ up, rtol=1e-6, atol=1e-6)
 
 
 def test_up_is_the_third_row_of_the_rotation() -> None:

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from hal.errors import OperatorError
-from hal.locomotion.torchfile import read_mlp
-from hal.locomotion.weights import load_weights
 from hal.regular import open_regular
+from hal.robots.go2w.locomotion.torchfile import read_mlp
+from hal.robots.go2w.locomotion.weights import load_weights
 from hal.scenes import load_scene
 from hal.scenes.files import read_scene
 from mapping.elevation import ElevationMap

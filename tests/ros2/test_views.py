@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from hal.urdf import urdf
+from hal.robots.go2w.urdf import urdf
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.foxglove import BACK, STOP
 from rbtrg_robot.config import load

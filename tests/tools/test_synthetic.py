@@ -7,7 +7,7 @@ from math import radians
 import numpy as np
 import pytest
 
-from hal.go2w import JOINT_RANGE, WHEEL_RADIUS, wheel_centres
+from hal.robots.go2w.facts import JOINT_RANGE, LIMBS, WHEEL_RADIUS, wheel_centres
 from hal.rotation import rotation_rpy
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan
 from mapping.odometry.wheels import leg_velocity
@@ -100,7 +100,7 @@ def test_wheel_speeds_and_leg_rates_give_the_true_velocity() -> None:
     for s in joints[50:]:
         true = truth[s.stamp]
         height = leg_velocity(
-            s.position, s.velocity, s.effort, true.angular, np.full(3, 0.01), out, sigma, contact
+            LIMBS, s.position, s.velocity, s.effort, true.angular, np.full(3, 0.01), out, sigma, contact
         )
         assert contact.all()
         assert height == pytest.approx(true.position[2], abs=0.012)  # above the tilted plane of the wheels

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.robots.go2w.facts import BODY_LENGTH, BODY_WIDTH
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load

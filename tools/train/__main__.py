@@ -29,7 +29,7 @@ def main() -> None:
     evaluate.add_argument("--controller", choices=("hybrid", "policy"), default="hybrid")
     options, rest = parser.parse_known_args()
     if options.command == "evaluate":
-        from hal.locomotion.weights import load_weights, save_weights
+        from hal.robots.go2w.locomotion.weights import load_weights, save_weights
         from tools.bench.envelope import run as bench
 
         report = bench(["--controller", options.controller, "--policy", str(options.policy), *rest])

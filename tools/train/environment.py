@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal import go2w
-from hal.locomotion.hybrid import ONWARD, TURN_MOST
-from hal.locomotion.layout import FRAME, Layout
 from hal.mujoco.attitude import GAIN
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
+from hal.robots.go2w.locomotion.layout import FRAME, Layout
 from hal.types import GRAVITY, Array
 from tools.bench.envelope.trial import TIPPED, steering
 from tools.train.physics import QPOS, QVEL, Robots

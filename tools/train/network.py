@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.locomotion.torchfile import Layer
+from hal.robots.go2w.locomotion.torchfile import Layer
 
 Weights = list[tuple[Any, Any]]
 """Weight (inputs, outputs) and bias (outputs,) of each layer."""
@@ -35,7 +35,7 @@ def normalised(weights: Weights, mean: NDArray[np.float32], spread: NDArray[np.f
 
 
 def as_layers(weights: Weights) -> list[Layer]:
-    """For `hal.locomotion.weights`."""
+    """For `hal.robots.go2w.locomotion.weights`."""
     last = len(weights) - 1
     return [
         Layer(

@@ -7,9 +7,10 @@ import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
 
-from hal import go2w
-from hal.locomotion.layout import Layout
 from hal.mujoco.model import build
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.locomotion.layout import Layout
+from hal.robots.go2w.simulated import GO2W
 from hal.types import Array
 from tools.train.settings import PARAMS, PERIOD, Physics
 from tools.train.terrain import RESOLUTION, Ground
@@ -25,6 +26,7 @@ def variant(ground: Ground, physics: Physics, rng: np.random.Generator) -> mujoc
         ground.height,
         RESOLUTION,
         ground.origin,
+        GO2W,
         friction=float(rng.uniform(*physics.friction)),
         timestep=physics.timestep,
         looks=False,

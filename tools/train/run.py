@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hal.locomotion.weights import save_weights
+from hal.robots.go2w.locomotion.weights import save_weights
 from tools.train import curves
 from tools.train.checkpoint import FILE, Checkpoint
 from tools.train.cloning import fit

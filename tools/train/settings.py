@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.locomotion.layout import PolicyParams
+from hal.robots.go2w.locomotion.layout import PolicyParams
 
 PARAMS = PolicyParams(
     # Stiff: the torques of the model-based controller can be written as targets of these gains, not of softer ones.

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal import go2w
-from hal.locomotion.layout import FRAME, Layout
-from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.attitude import AttitudeFilter
 from hal.mujoco.sim import Simulation
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.locomotion.layout import FRAME, Layout
+from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION, course

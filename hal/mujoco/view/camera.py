@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from hal import go2w
 from hal.camera import CameraError, CameraFrame, MountedCamera, encode
 from hal.mujoco.config import Obstacle
 from hal.mujoco.model import build
 from hal.mujoco.view.render import Canvas, RenderError
+from hal.robots import Robot, describe
 from hal.scenes import Scene
 from hal.types import NS, Array
 
@@ -25,12 +25,19 @@ class RenderedCamera:
     """`hal.camera.CameraSource` on a scene. `follow` tells it where the robot is."""
 
     def __init__(
-        self, camera: MountedCamera, scene: Scene, obstacles: tuple[Obstacle, ...] = (), start_time: int = 0
+        self,
+        camera: MountedCamera,
+        scene: Scene,
+        obstacles: tuple[Obstacle, ...] = (),
+        start_time: int = 0,
+        robot: Robot | None = None,
     ) -> None:
-        """`start_time`: source clock [ns] from which the obstacles' times count."""
+        """`start_time`: source clock [ns] from which the obstacles' times count; `robot`: None takes the default one."""
+        robot = robot or describe()
+        self._robot = robot.load(robot.simulated)
         self.camera = camera
         self._scene, self._obstacles, self.start_time = scene, obstacles, start_time
-        self._joints: Array = go2w.STAND
+        self._joints: Array = robot.pose
         self._pose: tuple[int, Array, Array] | None = None
         self._drawn = -1
         self._canvas: Canvas | None = None
@@ -47,7 +54,9 @@ class RenderedCamera:
         """Take an OpenGL context; says which. Raises CameraError."""
         scene = self._scene
         sizes = [obstacle.size for obstacle in self._obstacles]
-        model = build(scene.height, scene.resolution, scene.origin, boxes=sizes, camera=self.camera)
+        model = build(
+            scene.height, scene.resolution, scene.origin, self._robot, boxes=sizes, camera=self.camera
+        )
         model.vis.map.znear = NEAR_CLIP / model.stat.extent
         # Buffers for large pictures, soft edges and shadows take 300 MB, and most of the time.
         model.vis.global_.offwidth, model.vis.global_.offheight = self.camera.width, self.camera.height

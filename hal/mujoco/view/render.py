@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from hal import go2w
 from hal.errors import OperatorError
+from hal.limbs import MOTORS
 from hal.mujoco.config import Obstacle
 from hal.mujoco.model import HIDDEN, build
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.view.video import Frame, write_mp4
+from hal.robots import Robot, describe
 from hal.scenes import Scene
 from hal.types import NS, Array, GroundTruth, JointSample, Sample
 
@@ -91,11 +92,19 @@ def gl_context(width: int, height: int) -> Any:
 class Film:
     """Poses of a robot in a scene, drawn on demand."""
 
-    def __init__(self, scene: Scene, obstacles: tuple[Obstacle, ...] = (), view: View | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        obstacles: tuple[Obstacle, ...] = (),
+        view: View | None = None,
+        robot: Robot | None = None,
+    ) -> None:
+        """robot: None takes the default one."""
         self.scene = scene
+        self.robot = robot or describe()
         self.obstacles = obstacles
         self.view = view or View()
-        self._joints = go2w.STAND
+        self._joints = self.robot.pose
         self._start: int | None = None
         self._poses: list[tuple[float, NDArray[np.float32]]] = []
 
@@ -125,7 +134,7 @@ class Film:
 
     def frames(self) -> Iterator[Frame]:
         """Draw all poses. Raises RenderError."""
-        with _Studio(self.scene, self.obstacles, self.view) as studio:
+        with _Studio(self.scene, self.obstacles, self.view, self.robot) as studio:
             for time, pose in self._poses:
                 yield studio.shot(time, pose)
 
@@ -133,7 +142,7 @@ class Film:
         """The last pose as PNG. Raises RenderError."""
         if not self._poses:
             raise RenderError("nothing to draw: no pose was recorded")
-        with _Studio(self.scene, self.obstacles, self.view) as studio:
+        with _Studio(self.scene, self.obstacles, self.view, self.robot) as studio:
             Image.fromarray(studio.shot(*self._poses[-1])).save(path)
 
     def write(self, path: Path, progress: Callable[[int, int], None] | None = None) -> None:
@@ -171,8 +180,9 @@ class Canvas:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [1, 1, 1, 0, 0, 0]
         self._shadows = shadows
-        joints = [model.joint(name).qposadr[0] for name in go2w.MOTORS]
-        self._address = np.concatenate([np.arange(7), joints])
+        driven = [model.actuator(k).name for k in range(model.nu)]
+        self._address = np.concatenate([np.arange(7), [model.joint(name).qposadr[0] for name in driven]])
+        self._has = np.concatenate([np.arange(7), [7 + MOTORS.index(name) for name in driven]])
 
     def __enter__(self) -> Self:
         """Take an OpenGL context. Raises RenderError."""
@@ -195,7 +205,7 @@ class Canvas:
 
     def place(self, pose: NDArray[np.float32], obstacles: tuple[Obstacle, ...], time: float) -> None:
         """The robot at `pose` (23,): position [m], quaternion w, x, y, z, joints in SDK order [rad]; the boxes where they are at `time` [s]."""
-        self.data.qpos[self._address] = pose
+        self.data.qpos[self._address] = pose[self._has]
         for index, obstacle in enumerate(obstacles):
             box = box_at(obstacle, time)
             self.data.mocap_pos[index] = box.centre if present(obstacle, time) else HIDDEN
@@ -220,9 +230,10 @@ class Canvas:
 class _Studio(Canvas):
     """A film's canvas: its camera follows the robot."""
 
-    def __init__(self, scene: Scene, obstacles: tuple[Obstacle, ...], view: View) -> None:
+    def __init__(self, scene: Scene, obstacles: tuple[Obstacle, ...], view: View, robot: Robot) -> None:
         sizes = [obstacle.size for obstacle in obstacles]
-        model = build(scene.height, scene.resolution, scene.origin, boxes=sizes)
+        built = robot.load(robot.simulated)
+        model = build(scene.height, scene.resolution, scene.origin, built, boxes=sizes)
         super().__init__(model, view.width, view.height)
         self._view, self._obstacles = view, obstacles
         self.camera.distance, self.camera.azimuth = view.distance, view.azimuth

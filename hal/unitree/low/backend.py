@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Any
 
 from hal.contract import BackendError
-from hal.lowlevel import Controller
 from hal.safety.monitors import TWO_ROBOTS
 from hal.types import (
     LYING,
@@ -60,7 +59,7 @@ class LowLevelBackend:
         interface: str,
         domain: int = 0,
         options: UnitreeConfig | None = None,
-        controller: Controller = "hybrid",
+        controller: str = "",
         policy: str = "",
         link: Link | None = None,
         clock: Callable[[], int] = time.time_ns,

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from hal import go2w
 from hal.lowlevel import LowCommand, LowState
 from hal.plausible import lost_motor
+from hal.robots.go2w import facts as go2w
 from hal.types import Array
 from hal.unitree.low.wire import MOTORS
 

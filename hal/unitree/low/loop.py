@@ -27,6 +27,7 @@ from hal.contract import UP
 from hal.lowlevel import Locomotion, LowCommand, LowState
 from hal.postures.modes import Modes
 from hal.postures.motion import damped
+from hal.robots.go2w.righting import LEGS
 from hal.safety.monitors import TWO_ROBOTS
 from hal.types import NS, ModeRequest, Phase, PostureCommand, VelocityCommand
 from hal.unitree.api import WireError
@@ -136,7 +137,7 @@ class MotorLoop:
             check_crc,
             max_vx,
         )
-        self._modes = Modes(controller)
+        self._modes = Modes(controller, LEGS)
         self._limits = Limits(share)
         self._packer = Packer()
         self._damped = damped()

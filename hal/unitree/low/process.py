@@ -18,8 +18,8 @@ import time
 from typing import Any
 
 from hal.contract import BackendError
-from hal.locomotion.controllers import controller_of
-from hal.locomotion.torchfile import PolicyError
+from hal.robots.go2w.locomotion.controllers import controller_of
+from hal.robots.go2w.locomotion.torchfile import PolicyError
 from hal.unitree import idl
 from hal.unitree.api import WireError
 from hal.unitree.link import LOW_STATE, DdsLink

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from hal import go2w
 from hal.lowlevel import LowCommand, LowState
+from hal.robots.go2w import facts as go2w
 from hal.unitree.layout import CDR_HEADER, LOW_CMD_CDR, low_cmd_checksum
 
 LOW_CMD = "rt/lowcmd"

@@ -1,4 +1,4 @@
-"""Settings of ART, with the geometry of the Go2-W in place of ANYmal's."""
+"""Settings of ART, with the geometry of the paper's robot in place of ANYmal's."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class THybridParams(BaseModel):
-    """Defaults: the `paper` profile for the Go2-W on maps of a few metres."""
+    """Defaults: the `paper` profile, on maps of a few metres."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from hal.go2w import BODY_WIDTH
 from hal.rotation import wrap
 from hal.safety.geofence import NO_FENCE, Fence
 from rbtrg_robot import msg
@@ -72,7 +71,7 @@ class GoalArea:
     def of(cls, config: StackConfig, fence: Fence | None = None) -> GoalArea:
         """Those of a stack's configuration, or of a fence for its robot."""
         return cls(
-            config.fence() if fence is None else fence, math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
+            config.fence() if fence is None else fence, math.hypot(config.gate.fence_margin, config.facts.body.width / 2)
         )
 
     def beside(self, drawn: Fence) -> GoalArea:

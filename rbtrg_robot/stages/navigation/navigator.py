@@ -84,8 +84,10 @@ class NavigatorStage:
         step_vx: float = 0.0,
         max_trunk_tilt: float = 0.0,
         creep: float = 0.0,
+        length: float = 0.70,
+        width: float = 0.43,
     ) -> None:
-        """`step_vx` [m/s], `max_trunk_tilt` [rad], `creep` [m/s]: see `Capabilities`."""
+        """`step_vx` [m/s], `max_trunk_tilt` [rad], `creep` [m/s], `length`, `width` [m]: see `Capabilities`."""
         self._tilt, self._creep = max_trunk_tilt, creep
         self._params = params
         self._area, self._configured = area, area
@@ -104,7 +106,7 @@ class NavigatorStage:
         self._turns = HeldTurns()
         self._order = PathOrder(step_vx)
         self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
-        self._trail = Trail()
+        self._trail = Trail(length, width)
         self._slide = Slide()
         self._trouble = ""
         """Why the robot stood last."""
@@ -147,7 +149,8 @@ class NavigatorStage:
         return self._out
 
     def _moved(self) -> None:
-        self._pose, self._trail = None, Trail()
+        self._pose = None
+        self._trail.forget()
         if self._goal and self._goal.state.active:
             self._end(GoalState.ABORTED, Reason.LOST, "the pose was set anew")
 
@@ -170,7 +173,7 @@ class NavigatorStage:
         self._goal = goal
         self._short = 0
         if self._recovery.at_edge:
-            self._trail = Trail()
+            self._trail.forget()
         self._recovery = Recovery(self._params, feels_edges=self._creep > 0.0)
         self._looks = Looks(self._tilt)
         self._turns = HeldTurns()
@@ -474,4 +477,12 @@ def build(config: StackConfig) -> NavigatorStage:
     """From the stack's configuration."""
     robot = config.capabilities()
     area = GoalArea.of(config)
-    return NavigatorStage(config.navigator, area, robot.step_vx, robot.max_trunk_tilt, robot.creep)
+    return NavigatorStage(
+        config.navigator,
+        area,
+        robot.step_vx,
+        robot.max_trunk_tilt,
+        robot.creep,
+        robot.length,
+        robot.width,
+    )

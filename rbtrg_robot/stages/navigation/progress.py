@@ -9,7 +9,6 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.rotation import wrap
 from hal.safety.monitors import GOAL_SPENT
 from hal.types import NS
@@ -168,8 +167,14 @@ class Budget:
 class Trail:
     """The last few metres of the way the robot came."""
 
-    def __init__(self) -> None:
+    def __init__(self, length: float, width: float) -> None:
+        """Of the body [m]."""
+        self._half, self._side = length / 2, width / 2
         self._poses: deque[Pose2] = deque(maxlen=TRAIL_LENGTH)
+
+    def forget(self) -> None:
+        """The robot came from nowhere."""
+        self._poses.clear()
 
     def add(self, pose: Pose2) -> None:
         """Remember a pose, every 5 cm and 0.1 rad."""
@@ -196,8 +201,8 @@ class Trail:
             while run < distance and sign not in barred:
                 ahead = min(run + TRAIL_SPACING, distance)
                 # The end that leads, its corners and its middle, in the frame of the body now.
-                tip = sign * (ahead + BODY_LENGTH / 2)
-                side = BODY_WIDTH / 2 * np.array([-1.0, 0.0, 1.0])
+                tip = sign * (ahead + self._half)
+                side = self._side * np.array([-1.0, 0.0, 1.0])
                 points = np.column_stack(
                     [
                         x + tip * math.cos(yaw) - side * math.sin(yaw),
@@ -216,5 +221,5 @@ class Trail:
         dx, dy = (points[:, None, k] - trail[:, k] for k in (0, 1))
         c, s = np.cos(trail[:, 2]), np.sin(trail[:, 2])
         along, across = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
-        inside = (along < BODY_LENGTH / 2 + COVERED) & (across < BODY_WIDTH / 2 + COVERED)
+        inside = (along < self._half + COVERED) & (across < self._side + COVERED)
         return bool(inside.any(axis=1).all())

@@ -9,6 +9,7 @@ import numpy as np
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation, stand_command
+from hal.robots import describe
 from hal.types import PostureCommand, VelocityCommand
 
 
@@ -25,7 +26,7 @@ class Recording:
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         self.told.append((round(state.time, 6), velocity.vx, velocity.wz))
-        return stand_command()
+        return stand_command(describe().pose)
 
     def warning(self) -> str:
         return ""

@@ -6,11 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from hal import go2w
 from hal.lowlevel import LowCommand
 from hal.mujoco.contacts import PARTS
 from hal.mujoco.model import build
 from hal.mujoco.sim import Simulation, stand_command
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.simulated import GO2W
 
 RESOLUTION = 0.05
 
@@ -31,7 +32,7 @@ def on_flat(**options: object) -> Simulation:
 
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
-    return build(flat(), RESOLUTION, (-2.0, -2.0))
+    return build(flat(), RESOLUTION, (-2.0, -2.0), GO2W)
 
 
 def test_mass_is_the_facts(model: mujoco.MjModel) -> None:
@@ -91,7 +92,7 @@ def test_housing_leaves_36_mm_of_clearance() -> None:
 
 def test_terrain_has_the_height_of_each_cell_at_its_centre() -> None:
     height = bumpy()
-    model = build(height, RESOLUTION, (-1.0, 2.0))
+    model = build(height, RESOLUTION, (-1.0, 2.0), GO2W)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     only_terrain = np.array([1, 0, 0, 0, 0, 0], np.uint8)
@@ -104,11 +105,11 @@ def test_terrain_has_the_height_of_each_cell_at_its_centre() -> None:
 
 
 def test_payload_adds_its_mass() -> None:
-    assert build(flat(), 0.05, (0, 0), payload=3.0).body_mass.sum() == pytest.approx(22.521, abs=1e-3)
+    assert build(flat(), 0.05, (0, 0), GO2W, payload=3.0).body_mass.sum() == pytest.approx(22.521, abs=1e-3)
 
 
 def test_wheel_friction_is_the_grounds_friction(model: mujoco.MjModel) -> None:
-    slick = build(flat(), 0.05, (0, 0), friction=0.4)
+    slick = build(flat(), 0.05, (0, 0), GO2W, friction=0.4)
     for leg in go2w.LEGS:
         assert slick.geom(f"{leg}_wheel").friction[0] == 0.4
         assert slick.geom(f"{leg}_wheel").priority[0] > slick.geom("terrain").priority[0]
@@ -156,7 +157,7 @@ def test_torque_is_the_motor_law_clipped_at_the_limit() -> None:
 def test_a_free_wheel_does_not_spin_past_its_speed_limit() -> None:
     sim = on_flat()
     sim.data.qpos[2] = 3.0
-    command = stand_command()
+    command = stand_command(go2w.STAND)
     command.kd[go2w.WHEELS] = 0.0
     command.tau[go2w.WHEELS] = 5.0
     sim.apply(command)
@@ -169,7 +170,7 @@ def test_a_free_wheel_does_not_spin_past_its_speed_limit() -> None:
 
 def test_stiff_damping_is_stable_at_five_milliseconds() -> None:
     sim = on_flat()
-    sim.apply(stand_command(kp=200.0))
+    sim.apply(stand_command(go2w.STAND, kp=200.0))
     sim.step(200)
     assert np.abs(sim.low_state().dq).max() < 0.2
     assert not sim.diverged
@@ -265,7 +266,7 @@ def test_the_robot_is_lifted_until_nothing_but_wheels_touches() -> None:
 def test_friction_set_later_is_friction_built_in_and_nothing_is_left_of_a_run_before() -> None:
     def run(sim: Simulation) -> list[float]:
         sim.reset()
-        sim.apply(stand_command())
+        sim.apply(stand_command(go2w.STAND))
         sim.push((120.0, 80.0, 0.0), 0.5)
         sim.step(150)
         return sim.data.qpos.tolist()
@@ -282,7 +283,7 @@ def test_friction_set_later_is_friction_built_in_and_nothing_is_left_of_a_run_be
 @pytest.mark.parametrize("speed", [-6.0, 2.0, 6.0])
 def test_wheels_that_roll_cover_their_circumference(speed: float, timestep: float) -> None:
     sim = on_flat(timestep=timestep)
-    command = stand_command()
+    command = stand_command(go2w.STAND)
     command.kp[go2w.WHEELS], command.kd[go2w.WHEELS] = 0.0, 5.0
 
     def roll(seconds: float) -> None:

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.safety.contact import contact_at
 from hal.safety.swept import (
-    BODY,
     LIDAR,
     NO_WALL,
     SPACING,
+    Body,
     Reach,
     Surroundings,
     reach_of,
@@ -28,11 +27,12 @@ from hal.safety.swept import (
 from hal.types import Capabilities
 
 ROBOT = Capabilities("test", max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10)
+BODY = Body.of(ROBOT)
 RES = 0.04
 N = 101
 X, Y = np.meshgrid(*(2 * [(np.arange(N) - N // 2) * RES]))
 CORNER = (float(X[0, 0]), float(Y[0, 0]))
-FRONT, SIDE = BODY_LENGTH / 2, BODY_WIDTH / 2
+FRONT, SIDE = BODY.front, BODY.left
 HIGH, KERB = 0.5, 0.10
 
 
@@ -48,8 +48,8 @@ def ground(height: NDArray[Any], **layers: Any) -> Surroundings:
 WAYS = {
     "ahead": (partial(straight_tracks, 1.0, 1.0), SPACING),
     "behind": (partial(straight_tracks, 1.0, -1.0), SPACING),
-    "left": (partial(turn_tracks, 0.6, 1.0), turn_step()),
-    "right": (partial(turn_tracks, 0.6, -1.0), turn_step()),
+    "left": (partial(turn_tracks, 0.6, 1.0), turn_step(BODY)),
+    "right": (partial(turn_tracks, 0.6, -1.0), turn_step(BODY)),
 }
 
 
@@ -57,7 +57,7 @@ def look(
     around: Surroundings, pose: tuple[float, float, float] = (0.0, 0.0, 0.0), up: Any = (0.0, 0.0, 1.0)
 ) -> dict[str, Reach]:
     """Every way, 1 m and 0.6 rad far."""
-    stand = stand_of(around, pose, np.asarray(up))
+    stand = stand_of(around, pose, np.asarray(up), BODY)
     contact = contact_at(around, pose, stand, ROBOT)
     found = {}
     for name, (tracks, step) in WAYS.items():
@@ -67,7 +67,7 @@ def look(
         wall = NO_WALL if contact is None else contact.wall
         ways = [
             reach_of(tracks(BODY), step, *there, seen=straight),
-            reach_of(shells(tracks, body), step, *there, seen=straight, wall=wall),
+            reach_of(shells(tracks, BODY, body), step, *there, seen=straight, wall=wall),
         ]
         found[name] = max(ways, key=lambda way: way.free)
     return found

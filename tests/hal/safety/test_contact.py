@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hal.safety.contact import DEEPEST, NEAR, WALL, contact_at
 from hal.safety.swept import (
-    BODY,
     CLEAR,
     DROP,
     FACE,
@@ -23,7 +22,7 @@ from hal.safety.swept import (
     Surroundings,
     stand_of,
 )
-from tests.hal.safety.ground import FRONT, HIGH, KERB, RES, ROBOT, SIDE, WAYS, X, Y, ground, look
+from tests.hal.safety.ground import BODY, FRONT, HIGH, KERB, RES, ROBOT, SIDE, WAYS, X, Y, ground, look
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -165,7 +164,7 @@ def test_the_part_of_the_body_that_is_in_no_wall_is_what_the_oracle_says(seed: i
             ahead = math.cos(lean) * X + math.sin(lean) * Y
             height = np.where((ahead > off) & (ahead < off + rng.uniform(0.05, 0.3)), HIGH, height)
         around, pose = ground(height), (*rng.uniform(-0.1, 0.1, 2).tolist(), float(rng.uniform(-3.0, 3.0)))
-        stand = stand_of(around, pose, np.array([0.1, 0.05, 1.0]) / math.sqrt(1.0125))
+        stand = stand_of(around, pose, np.array([0.1, 0.05, 1.0]) / math.sqrt(1.0125), BODY)
         contact = contact_at(around, pose, stand, ROBOT)
         body, flat, wall = contact_oracle(around, pose, stand)
         if contact is None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.robots.go2w.facts import BODY_LENGTH, BODY_WIDTH
 from hal.safety.gate import SafetyGate
 from hal.safety.geofence import Fence
 from hal.types import VelocityCommand

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.robots.go2w.facts import BODY_LENGTH, BODY_WIDTH
 from hal.safety.planned import free_turn, known_behind, mapped
 from hal.safety.swept import (
     CLEAR,
@@ -19,7 +19,7 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
-from tests.hal.safety.ground import CORNER, RES, ROBOT, N, X, Y, ground
+from tests.hal.safety.ground import BODY, CORNER, RES, ROBOT, N, X, Y, ground
 
 
 def test_of_ground_behind() -> None:
@@ -27,9 +27,9 @@ def test_of_ground_behind() -> None:
     for _ in range(60):
         height = np.where(rng.random((N, N)) < rng.uniform(0.0, 0.8), np.nan, 0.0).astype(np.float32)
         pose = (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
-        tracks = straight_tracks(1.0, -1.0)
+        tracks = straight_tracks(1.0, -1.0, BODY)
         found = reach_of(tracks, SPACING, ground(height), pose, FLAT, ROBOT, seen=True)
-        told = known_behind(mapped(height, CORNER, RES), pose, ROBOT.max_gap, 0.4)
+        told = known_behind(mapped(height, CORNER, RES), pose, BODY, ROBOT.max_gap, 0.4)
         assert found.kind in (UNSEEN, CLEAR)
         assert told == pytest.approx(min(found.free, 0.4))
 
@@ -44,8 +44,8 @@ def test_of_turns() -> None:
             height[(np.abs(X - x) < 0.06) & (np.abs(Y - y) < 0.06)] = rng.choice([-0.5, 0.1, 0.5])
         pose = (*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi))
         turn = rng.uniform(-np.pi, np.pi)
-        tracks = turn_tracks(3.2, math.copysign(1.0, turn))
-        found = reach_of(tracks, turn_step(), ground(height), pose, FLAT, ROBOT, seen=False)
+        tracks = turn_tracks(3.2, math.copysign(1.0, turn), BODY)
+        found = reach_of(tracks, turn_step(BODY), ground(height), pose, FLAT, ROBOT, seen=False)
         told = free_turn(mapped(height, CORNER, RES), pose, turn, ROBOT)
         assert told == pytest.approx(min(found.free, abs(turn)))
         held += told < abs(turn)

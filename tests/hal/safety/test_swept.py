@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.robots.go2w.facts import BODY_LENGTH, BODY_WIDTH
 from hal.safety.swept import (
     BEFORE,
-    BODY,
     CLEAR,
     DROP,
     FACE,
@@ -25,7 +24,6 @@ from hal.safety.swept import (
     PLANTS,
     SPACING,
     SWEEP,
-    UNDER,
     UNSEEN,
     WHEELS,
     WITHIN,
@@ -40,16 +38,17 @@ from hal.safety.swept import (
     stand_of,
     straight_tracks,
     turn_tracks,
+    under,
 )
-from tests.hal.safety.ground import CORNER, FRONT, HIGH, KERB, RES, ROBOT, SIDE, N, X, Y, ground, look
+from tests.hal.safety.ground import BODY, CORNER, FRONT, HIGH, KERB, RES, ROBOT, SIDE, N, X, Y, ground, look
 
 
 def test_tracks_begin_under_the_body_and_lead_away_from_it() -> None:
     for tracks in (
-        straight_tracks(1.0, 1.0),
-        straight_tracks(1.0, -1.0),
-        turn_tracks(0.6, 1.0),
-        turn_tracks(0.6, -1.0),
+        straight_tracks(1.0, 1.0, BODY),
+        straight_tracks(1.0, -1.0, BODY),
+        turn_tracks(0.6, 1.0, BODY),
+        turn_tracks(0.6, -1.0, BODY),
     ):
         inside = (np.abs(tracks[:, :, 0]) < FRONT - 1e-9) & (np.abs(tracks[:, :, 1]) < SIDE + 1e-9)
         assert inside[:, :BEFORE].all()
@@ -60,7 +59,7 @@ def test_tracks_begin_under_the_body_and_lead_away_from_it() -> None:
 
 @pytest.mark.parametrize("turn", [-1.0, 1.0])
 def test_the_tracks_of_a_turn_cover_what_the_body_sweeps(turn: float) -> None:
-    tracks = turn_tracks(0.6, turn)[:, BEFORE:].reshape(-1, 2)
+    tracks = turn_tracks(0.6, turn, BODY)[:, BEFORE:].reshape(-1, 2)
     rng = np.random.default_rng(3)
     points = rng.uniform(-0.5, 0.5, (4000, 2))
 
@@ -133,7 +132,7 @@ def test_the_robot_stands_on_the_median_of_what_lies_under_it() -> None:
     height[rng.random(X.shape) < 0.3] = np.nan
     for x, y, yaw in rng.uniform(-1.0, 1.0, (8, 3)):
         up = np.array([-0.3, 0.2, 1.0]) / math.sqrt(1.13)
-        stand = stand_of(ground(height), (x, y, yaw), up)
+        stand = stand_of(ground(height), (x, y, yaw), up, BODY)
         c, s = math.cos(yaw), math.sin(yaw)
         assert stand[1:] == pytest.approx((0.3 * c - 0.2 * s, -0.2 * c - 0.3 * s))
         u, v = c * (X - x) + s * (Y - y), c * (Y - y) - s * (X - x)
@@ -142,7 +141,7 @@ def test_the_robot_stands_on_the_median_of_what_lies_under_it() -> None:
         assert stand[0] == pytest.approx(want, abs=1e-6)
         assert stand[0] == pytest.approx(0.3 * x - 0.2 * y, abs=0.01)
     nothing = np.full((3, 3), np.nan, np.float32)
-    assert math.isnan(height_under(nothing, 0.0, 0.0, RES, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert math.isnan(height_under(nothing, 0.0, 0.0, RES, 0.0, 0.0, 0.0, 0.0, 0.0, FRONT, SIDE))
 
 
 def test_a_trench_wider_than_a_wheel_crosses_is_a_drop() -> None:
@@ -382,14 +381,14 @@ def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> Non
         around = ground(height, bound=bound, source=source, occupied=occupied)
         pose = (float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3.0, 3.0)))
         tilt = rng.uniform(-0.3, 0.3, 2)
-        stand = stand_of(around, pose, np.array([*tilt, math.sqrt(1.0 - tilt @ tilt)]))
+        stand = stand_of(around, pose, np.array([*tilt, math.sqrt(1.0 - tilt @ tilt)]), BODY)
         gap = math.ceil((ROBOT.max_gap + RES) / SPACING)
         wall = (rng.random(X.shape) < rng.choice([0.0, 0.1])).astype(np.uint8)
         body = Body(*(BODY - rng.choice([0.0, 0.05], 4)))
         for tracks, blind in (
-            (straight_tracks(0.7, 1.0)[None], gap),
-            (shells(partial(straight_tracks, 0.7, -1.0), body), gap),
-            (shells(partial(turn_tracks, 0.6, -1.0), body), 1000),
+            (straight_tracks(0.7, 1.0, BODY)[None], gap),
+            (shells(partial(straight_tracks, 0.7, -1.0), BODY, body), gap),
+            (shells(partial(turn_tracks, 0.6, -1.0), BODY, body), 1000),
         ):
             sample, kind, _ = nearest_obstacle(
                 *(tracks, around.height, around.bound, around.source, around.occupied, wall),
@@ -421,9 +420,9 @@ def test_a_cell_is_occupied_by_enough_points_that_stand_on_its_ground() -> None:
 def test_the_way_to_leaves_is_that_of_the_first_sample_over_them(yaw: float) -> None:
     rng = np.random.default_rng(3)
     for tracks, step in (
-        (straight_tracks(1.0, 1.0), SPACING),
-        (straight_tracks(1.0, -1.0), SPACING),
-        (turn_tracks(0.6, 1.0), 0.05),
+        (straight_tracks(1.0, 1.0, BODY), SPACING),
+        (straight_tracks(1.0, -1.0, BODY), SPACING),
+        (turn_tracks(0.6, 1.0, BODY), 0.05),
     ):
         for share in (0.0, 0.002, 0.02):
             source = np.where(rng.random((N, N)) < share, PLANTS, LIDAR).astype(np.uint8)
@@ -434,9 +433,9 @@ def test_the_way_to_leaves_is_that_of_the_first_sample_over_them(yaw: float) -> 
                 if leaves_at(source, pose, *tracks[k, i]):
                     first = min(first, i)
             want = max(0.0, (first - BEFORE) * step) if first < tracks.shape[1] else math.inf
-            if any(leaves_at(source, pose, u, v) for u, v in UNDER[:, 0]):
+            if any(leaves_at(source, pose, u, v) for u, v in under(BODY)[:, 0]):
                 want = 0.0
-            assert leaves_on(tracks, step, around, pose) == pytest.approx(want)
+            assert leaves_on(tracks, step, around, pose, BODY) == pytest.approx(want)
 
 
 def leaves_at(source: np.ndarray, pose: tuple[float, float, float], u: float, v: float) -> bool:
@@ -448,12 +447,12 @@ def leaves_at(source: np.ndarray, pose: tuple[float, float, float], u: float, v:
 
 
 def test_a_robot_with_its_rear_in_leaves_goes_no_faster_than_one_with_its_front_in_them() -> None:
-    np.testing.assert_allclose(UNDER[:, 0].max(axis=0), (FRONT, SIDE))
-    np.testing.assert_allclose(UNDER[:, 0].min(axis=0), (-FRONT, -SIDE))
-    assert len(UNDER) > BODY_LENGTH * BODY_WIDTH / SPACING**2
+    np.testing.assert_allclose(under(BODY)[:, 0].max(axis=0), (FRONT, SIDE))
+    np.testing.assert_allclose(under(BODY)[:, 0].min(axis=0), (-FRONT, -SIDE))
+    assert len(under(BODY)) > BODY_LENGTH * BODY_WIDTH / SPACING**2
     source = np.full((N, N), LIDAR, np.uint8)
     _, x = np.mgrid[0:N, 0:N] * RES
     source[x + CORNER[0] < -0.2] = PLANTS
     around = ground(np.zeros((N, N)), source=source)
-    assert leaves_on(straight_tracks(1.0, 1.0), SPACING, around, (0.0, 0.0, 0.0)) == 0.0
-    assert leaves_on(straight_tracks(1.0, 1.0), SPACING, around, (0.25, 0.0, 0.0)) == math.inf
+    assert leaves_on(straight_tracks(1.0, 1.0, BODY), SPACING, around, (0.0, 0.0, 0.0), BODY) == 0.0
+    assert leaves_on(straight_tracks(1.0, 1.0, BODY), SPACING, around, (0.25, 0.0, 0.0), BODY) == math.inf

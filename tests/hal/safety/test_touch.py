@@ -7,14 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hal.locomotion.vmc import VmcController
 from hal.mujoco.driver import Driver
 from hal.mujoco.sensors import imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
+from hal.robots import describe
+from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.safety.monitors import taken_out
 from hal.safety.swept import LIDAR, TOUCHED, Surroundings
-from hal.safety.touch import CELLS, FACE, SPRUNG, TALL, Touch, TouchWatch, uneven
+from hal.safety.touch import CELLS, FACE, TALL, Touch, TouchWatch, uneven
 from hal.types import GRAVITY, NS, ImuSample, JointSample
+from tests.hal.safety.ground import BODY
 
 RES = 0.02
 
@@ -41,7 +43,7 @@ class Run:
         for k, (centre, _, yaw) in enumerate(box):
             self.simulation.place_box(k, centre, yaw)
         self.driver = Driver(self.simulation, VmcController())
-        self.watch = TouchWatch()
+        self.watch = TouchWatch(describe().limbs, describe().body.sprung_mass)
         self.touches: list[tuple[float, Touch]] = []
         self.met = np.inf
 
@@ -143,10 +145,10 @@ def test_a_face_is_climbed_where_the_map_tells_it_and_touched_where_it_does_not(
 def pushed(forces: list[float], uneven: float) -> list[Touch]:
     """What is told of forces [N] on the body, one each joint sample, while it is slower than it should be and no wheel
     pushes."""
-    watch, touches = TouchWatch(), []
+    watch, touches = TouchWatch(describe().limbs, describe().body.sprung_mass), []
     for k, force in enumerate(forces):
         stamp = k * NS // 50
-        watch.imu(ImuSample(stamp, np.zeros(3), np.array([-force / SPRUNG, 0.0, GRAVITY])))
+        watch.imu(ImuSample(stamp, np.zeros(3), np.array([-force / 14.241, 0.0, GRAVITY])))
         joints = JointSample(stamp, np.array([0.0, 0.67, -1.3] * 4 + [0.0] * 4), np.zeros(16), np.zeros(16))
         touch = watch.joints(joints, 0.5, 0.0, uneven, 0.1)
         touches += [touch] if touch else []
@@ -175,9 +177,9 @@ def around(height: Callable[[np.ndarray, np.ndarray], np.ndarray], source: int =
 def test_a_slope_is_even_and_a_step_before_the_wheels_is_not(way: float, yaw: float) -> None:
     here, c, s = (0.0, 0.0, yaw), way * np.cos(yaw), way * np.sin(yaw)
     slope = around(lambda x, y: 0.4 * x - 0.2 * y)
-    assert max(uneven(slope, here)) < 1e-5
+    assert max(uneven(slope, here, BODY)) < 1e-5
     step = around(lambda x, y: 0.1 * (c * x + s * y > 0.45))
-    ends = uneven(step, here)
+    ends = uneven(step, here, BODY)
     assert ends[way < 0.0] == pytest.approx(0.1, abs=1e-5)
     assert ends[way > 0.0] < 1e-5, "it is at the other end"
 
@@ -194,15 +196,15 @@ def test_stairs_explain_what_pushes_at_the_body_and_one_kerb_does_not(riser: flo
 def test_noise_of_a_cell_and_what_was_touched_explain_nothing() -> None:
     one = around(lambda x, y: 0.3 * ((np.abs(x - 0.4) < 0.01) & (np.abs(y) < 0.03)))
     assert 0 < np.count_nonzero(one.height) < CELLS
-    assert uneven(one, (0.0, 0.0, 0.0))[0] < FACE
+    assert uneven(one, (0.0, 0.0, 0.0), BODY)[0] < FACE
     pane = around(lambda x, _: 0.6 * ((x > 0.35) & (x < 0.45)), TOUCHED)
-    assert uneven(pane, (0.0, 0.0, 0.0))[0] < FACE
+    assert uneven(pane, (0.0, 0.0, 0.0), BODY)[0] < FACE
 
 
 def test_a_map_that_knows_nothing_explains_nothing() -> None:
-    assert uneven(around(lambda x, y: x * y * np.nan), (0.0, 0.0, 0.0)) == (0.0, 0.0)
+    assert uneven(around(lambda x, y: x * y * np.nan), (0.0, 0.0, 0.0), BODY) == (0.0, 0.0)
 
 
 def test_a_wall_beside_the_body_explains_a_held_wheel_and_no_touch_of_the_body() -> None:
-    wall = uneven(around(lambda _, y: 0.6 * (np.abs(y - 0.24) < 0.021)), (0.0, 0.0, 0.0))[0]
+    wall = uneven(around(lambda _, y: 0.6 * (np.abs(y - 0.24) < 0.021)), (0.0, 0.0, 0.0), BODY)[0]
     assert FACE < wall < TALL

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hal.mujoco.config import CAPABILITIES
+from hal.robots import describe
 from hal.scenes import SceneError, load_scene
-from hal.scenes.elements import BAR, BEYOND, ENVELOPE, MAPS, PIT, TRACK
+from hal.scenes.elements import BAR, MAPS, PIT, TRACK
 from hal.scenes.lanes import LAYOUTS, RESOLUTION, WALL_HEIGHT, Lane, lane, named
 from hal.scenes.shortest import shortest
 
@@ -82,7 +82,7 @@ def test_a_lane_is_between_1_1_and_1_2_m_wide_with_walls_of_half_a_metre(seed, l
 @example(185, 2, "vmc")  # two pairs of gaps one behind the other
 def test_up_to_level_4_a_body_can_drive_the_way_within_the_capabilities(seed, level, controller) -> None:
     one = lane(seed, level=level, controller=controller)
-    able = CAPABILITIES[controller]
+    able = describe().capabilities(controller)
     line = poses(one)
     # Nothing of the body comes near a wall, nor at corners, where it turns on the spot.
     for along in np.linspace(-BODY[0], BODY[0], 9):
@@ -125,7 +125,7 @@ def test_level_5_has_one_element_beyond_the_capabilities_across_every_way(seed, 
     ends = [(x, y0, x, y1, 0.02) for x in (x0, x1)]
     closed = np.vstack([one.walls, ends])
     assert not np.isfinite(shortest(closed, one.scene.start[:2], one.scene.goals["end"][:2], BODY[1]))
-    able = CAPABILITIES[controller]
+    able = describe().capabilities(controller)
     points = np.stack(np.meshgrid(np.arange(x0 - 0.3, x1 + 0.3, 0.02), [0.5 * (y0 + y1)]), axis=-1)[0]
     profile = z(one, points)
     step = np.abs(np.diff(profile)).max()
@@ -143,7 +143,11 @@ def test_forty_seeds_hold_every_layout_with_every_kind() -> None:
 
 @pytest.mark.parametrize("controller", ["vmc", "policy"])
 def test_no_level_asks_for_more_than_the_capabilities_and_the_fifth_for_much_more(controller) -> None:
-    able, asked, beyond = CAPABILITIES[controller], ENVELOPE[controller], BEYOND[controller]
+    able, asked, beyond = (
+        describe().capabilities(controller),
+        describe().lanes(controller).within,
+        describe().lanes(controller).beyond,
+    )
     assert max(asked[k] for k in ("step", "bar", "rail", "posts")) <= able.max_step
     assert asked["posts"] <= able.max_posts
     assert asked["gap"] <= able.max_gap

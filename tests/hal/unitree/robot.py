@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hal import go2w
+from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, ModeRequest, Phase, VelocityCommand
 from hal.unitree import api

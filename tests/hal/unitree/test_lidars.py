@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.lidar.config import DEFAULT_LIDARS, LidarConfig, only
+from hal.lidar.config import LidarConfig, only
+from hal.robots import describe
 from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, TIME_QUANTUM, LidarScan
 from hal.unitree.api import WireError
@@ -51,7 +52,7 @@ class Wire:
 
 def test_each_lidar_keeps_its_name_and_clock_and_a_silent_one_is_named() -> None:
     wire = Wire()
-    telemetry = Telemetry(wire, UnitreeConfig(lidars=DEFAULT_LIDARS))  # type: ignore[arg-type]
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=describe().lidars))  # type: ignore[arg-type]
     scans: list[LidarScan] = []
     for k in range(1, 60):
         now = k * NS // 10

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal import go2w
+from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import ROLLS_ON, taken_out
 from hal.safety.slope import CREEP, SLOPE

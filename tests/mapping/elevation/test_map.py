@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hal.go2w import L1_MOUNT
 from hal.lidar.config import only
+from hal.robots.go2w.facts import L1_MOUNT
 from hal.types import MountedLidar
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError

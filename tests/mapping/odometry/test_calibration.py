@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hal.go2w import L1_MOUNT, XT16_MOUNT
 from hal.lidar import LIDARS
+from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import rotation_rpy, rotation_vector, rpy_of
 from hal.types import NS, Extrinsics, GroundTruth, LidarName, LidarScan, Sample
 from mapping.odometry.alignment import KEPT, GyroFit, LeastSquares

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.go2w import IMU_POSITION, STAND, WHEEL_RADIUS, stand_height, wheel_centres
+from hal.robots.go2w.facts import IMU_POSITION, LIMBS, STAND, WHEEL_RADIUS, stand_height, wheel_centres
 from hal.rotation import quaternion, rotation, rotation_vector, skew, turn
 from hal.types import NS
 from mapping.odometry.deskew import deskew, mount_matrix
@@ -174,7 +174,7 @@ def test_leg_velocity_inverts_the_rolling_constraint() -> None:
         velocity, omega = rng.normal(size=3), rng.normal(size=3)
         out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
         dq = joints_of(velocity, omega, STAND)
-        height = leg_velocity(STAND, dq, np.zeros(16), omega, np.full(3, 0.05), out, sigma, contact)
+        height = leg_velocity(LIMBS, STAND, dq, np.zeros(16), omega, np.full(3, 0.05), out, sigma, contact)
         np.testing.assert_allclose(out, velocity, atol=1e-5)
         np.testing.assert_allclose(sigma, 0.05, rtol=1e-6)
         assert contact.all()
@@ -190,28 +190,28 @@ def test_wheels_that_disagree_count_less_and_in_height_a_hundred_times_so() -> N
             mine = [3 * leg, 3 * leg + 1, 3 * leg + 2, 12 + leg]
             dq[mine] = joints_of(each[leg], np.zeros(3), STAND)[mine]
         out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
-        leg_velocity(STAND, dq, np.zeros(16), np.zeros(3), np.full(3, 0.05), out, sigma, contact)
+        leg_velocity(LIMBS, STAND, dq, np.zeros(16), np.zeros(3), np.full(3, 0.05), out, sigma, contact)
         np.testing.assert_allclose(out, each.mean(axis=0), atol=1e-5)
         spread = ((each - each.mean(axis=0)) ** 2).sum(axis=0)
         np.testing.assert_allclose(
             sigma, np.sqrt(0.05**2 + np.array([0.25, 0.25, 100.0]) * spread / 4), rtol=1e-4
         )
         rows = np.tile(np.concatenate([STAND, dq, np.zeros(16)]), (3, 1))
-        np.testing.assert_allclose(ways_of_wheels(rows, np.zeros(3), 0.5), 0.5 * each[:, 0], atol=1e-5)
+        np.testing.assert_allclose(ways_of_wheels(LIMBS, rows, np.zeros(3), 0.5), 0.5 * each[:, 0], atol=1e-5)
 
 
 def test_a_wheel_in_the_air_tells_no_way() -> None:
     dq = joints_of(np.array([0.4, 0.0, 0.0]), np.zeros(3), STAND)
     dq[14] += 20.0
     row = np.concatenate([STAND, dq, loaded(48.0, 48.0, 2.0, 48.0)])
-    np.testing.assert_allclose(ways_of_wheels(row[None], np.zeros(3), 1.0), 0.4, atol=1e-5)
+    np.testing.assert_allclose(ways_of_wheels(LIMBS, row[None], np.zeros(3), 1.0), 0.4, atol=1e-5)
     row[32:] = loaded(2.0, 2.0, 2.0, 2.0)
-    assert np.isnan(ways_of_wheels(row[None], np.zeros(3), 1.0)).all()
+    assert np.isnan(ways_of_wheels(LIMBS, row[None], np.zeros(3), 1.0)).all()
 
 
 def loaded(*forces: float) -> np.ndarray:
     """(16,) torques [Nm] of wheels that carry `forces` [N]."""
-    from hal.go2w import wheel_jacobians
+    from hal.robots.go2w.facts import wheel_jacobians
 
     tau = np.zeros(16)
     jacobian = wheel_jacobians(STAND)
@@ -223,11 +223,11 @@ def loaded(*forces: float) -> np.ndarray:
 def test_contact_follows_the_ground_force_seen_by_the_joints() -> None:
     tau = loaded(48.0, 48.0, 2.0, 48.0)
     out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
-    leg_velocity(STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
+    leg_velocity(LIMBS, STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
     assert contact.tolist() == [True, True, False, True]
     tau[:] = 0.0
     tau[0] = 1e-9
-    height = leg_velocity(STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
+    height = leg_velocity(LIMBS, STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
     assert np.isnan(height)
     assert np.isinf(sigma).all()
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hal.go2w import L1_MOUNT, XT16_MOUNT
 from hal.lidar import LIDARS
+from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import rotation
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health

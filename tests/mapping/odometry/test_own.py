@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hal.go2w import L1_MOUNT, XT16_MOUNT
+from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.lidar.caster import NumbaCaster, OrientedBox, Surface
 from hal.lidar.plants import Clump
 from hal.lidar.simulator import LidarSimulator
@@ -18,9 +18,10 @@ from hal.lidar.spec import LIDARS
 from hal.rotation import quaternion, rotation_rpy
 from hal.safety.monitors import OWN_PARTS, taken_out
 from hal.types import NS
-from mapping.odometry.own import BODY, SPARE, OwnFilter, OwnPart, OwnParts
+from mapping.odometry.own import SPARE, OwnFilter, OwnPart, OwnParts, body_boxes
 
 ANTENNA = OwnPart(low=(-0.22, 0.25, -0.1), high=(-0.19, 0.28, 0.2))
+BODY = body_boxes(0.70, 0.43)
 MOUNTS = {"main": XT16_MOUNT, "head": L1_MOUNT}
 
 

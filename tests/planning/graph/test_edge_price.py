@@ -7,13 +7,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planning.graph.edge_price import AXLE, BEYOND, EVEN_TAN, HIGHEST_FACE, TREAD, edge_price
+from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, edge_price
 from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
+from planning.graph.params import GraphParams
 from planning.graph.prices import LONGEST_TREAD, angle_at, prices_of, size_at, tread_at
 
 RES = 0.04
-PRICES = prices_of("hybrid", 100.0)
+PRICES = prices_of(GraphParams(controller="hybrid"))
+AXLE, TREAD = PRICES.axle, PRICES.tread
 WHEELS = [(AXLE, TREAD), (AXLE, -TREAD), (-AXLE, TREAD), (-AXLE, -TREAD)]
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hal.envelope import FALL_COST, Axis, Envelope, Table, stored
+from planning.graph.params import GraphParams
 from planning.graph.prices import ANGLES, SIZES, angle_at, ending, free, hazards, prices_of, size_at
 
 # Faces up that the hybrid controller was driven over: height [m], angle [deg], trials, failures.
@@ -87,7 +88,7 @@ def test_a_hazard_is_the_mean_of_three_heights(envelope, height, sigma, angle, s
 
 @pytest.mark.parametrize("controller", ["hybrid", "vmc", "policy", "sport"])
 def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: str) -> None:
-    envelope, prices = stored(controller), prices_of(controller, 100.0)
+    envelope, prices = stored(controller), prices_of(GraphParams(controller=controller))
 
     def hazard(name: str, *values: float) -> float:
         share = ending(envelope.manoeuvres[name])
@@ -112,8 +113,8 @@ def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: s
 
 
 def test_without_a_controller_or_at_no_cost_of_a_failure_nothing_has_a_price() -> None:
-    for prices in (prices_of(None, 100.0), prices_of("hybrid", 0.0)):
-        for table, zero in zip(prices, free(), strict=True):
+    for prices in (prices_of(GraphParams()), prices_of(GraphParams(controller="hybrid", fall_cost=0.0))):
+        for table, zero in zip(prices, free(0.21, 0.1928), strict=True):
             np.testing.assert_array_equal(table, zero)
-    double, single = prices_of("hybrid", 200.0), prices_of("hybrid", 100.0)
+    double, single = (prices_of(GraphParams(controller="hybrid", fall_cost=cost)) for cost in (200.0, 100.0))
     np.testing.assert_allclose(double.face, 2.0 * single.face)

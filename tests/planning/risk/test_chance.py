@@ -43,7 +43,9 @@ def drive(
     graph = TraversalGraph.build(grid, (1.0, 2.0), params, 0)
     assert graph.cells is not None
     way = Way(xy, np.full(len(xy) - 1, back), yaw, math.nan)
-    return chance(envelope, grid, graph.cells, way), list(Drive(envelope, grid, graph.cells, way).parts())
+    return chance(envelope, grid, graph.cells, way, params), list(
+        Drive(envelope, grid, graph.cells, way, params).parts()
+    )
 
 
 def kerb(height: float, angle: float = 0.0) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

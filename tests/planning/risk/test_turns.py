@@ -21,6 +21,7 @@ from planning.risk.table import RiskTable
 from planning.risk.turns import ASKEW, BEND, may_turn_to, turn_cost
 from planning.search.guarded import SPARE
 from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
+from tests.hal.safety.ground import BODY as RECTANGLE
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
 
 BODY = BodyModel()
@@ -234,9 +235,9 @@ def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
     for poses in turns_of(found):
         turn = float(poses[-1, 2] - poses[0, 2])
         if abs(turn) > BEND:
-            tracks = turn_tracks(abs(turn), np.sign(turn), spare=SPARE)
+            tracks = turn_tracks(abs(turn), np.sign(turn), RECTANGLE, spare=SPARE)
             place = (float(poses[0, 0]), float(poses[0, 1]), float(poses[0, 2]))
-            count += reach_of(tracks, turn_step(), around, place, FLAT, robot, seen=False).kind > 0
+            count += reach_of(tracks, turn_step(RECTANGLE), around, place, FLAT, robot, seen=False).kind > 0
     return count
 
 

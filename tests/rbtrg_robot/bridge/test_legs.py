@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hal import go2w
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.urdf import urdf
 from hal.rotation import rotation
-from hal.urdf import urdf
 from rbtrg_robot import msg
 from rbtrg_robot.bridge.legs import Legs
 from rbtrg_robot.wire.convert import xyz, xyzw

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hal.go2w import L1_MOUNT, XT16_MOUNT
+from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import rotation_rpy, rotation_vector, rpy_of
 from hal.types import NS, Extrinsics, ImuSample, JointSample, LidarName, LidarScan, MountedLidar, Sample
 from mapping.odometry.types import OdometryConfig

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hal.lidar.caster import Float32, NumbaCaster, Surface, TerrainCaster
-from hal.lowlevel import Controller
-from hal.mujoco.config import CAPABILITIES
+from hal.robots import Robot
 from hal.scenes import Scene
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
@@ -71,7 +70,7 @@ CREEPING = "creeping over ground nobody saw"
 
 
 def drive(
-    monkeypatch: pytest.MonkeyPatch, scene: Scene, controller: Controller = "hybrid", friction: float = 0.8
+    monkeypatch: pytest.MonkeyPatch, scene: Scene, controller: str = "hybrid", friction: float = 0.8
 ) -> tuple[Lockstep, list[str], float]:
     """To the end of the goal, on its wheels: the stack, what the goal said on the way, and how far the robot came [m]."""
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
@@ -111,7 +110,7 @@ def test_over_ground_that_sends_no_ray_back_it_creeps_to_the_goal(monkeypatch: p
     ],
 )
 def test_at_an_edge_that_nobody_saw_it_stops_and_tells_of_it(
-    kind: str, askew: float, friction: float, controller: Controller, monkeypatch: pytest.MonkeyPatch
+    kind: str, askew: float, friction: float, controller: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stack, said, furthest = drive(monkeypatch, lane(kind, askew), controller, friction)
     status = stack.newest[t.GOAL_STATUS]
@@ -122,7 +121,8 @@ def test_at_an_edge_that_nobody_saw_it_stops_and_tells_of_it(
 
 
 def test_who_does_not_feel_edges_does_not_creep_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(CAPABILITIES, "hybrid", replace(CAPABILITIES["hybrid"], creep=0.0))
+    own = Robot.capabilities
+    monkeypatch.setattr(Robot, "capabilities", lambda self, name: replace(own(self, name), creep=0.0))
     stack, said, furthest = drive(monkeypatch, lane("pit"))
     status = stack.newest[t.GOAL_STATUS]
     assert CREEPING not in said

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.robots.go2w.facts import BODY_LENGTH, BODY_WIDTH
 from mapping.elevation.tiles import PLANTS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.lidar.config import DEFAULT_LIDARS, LidarConfig, only
-from hal.mujoco.config import CAPABILITIES
+from hal.lidar.config import LidarConfig, only
+from hal.robots import Robot, describe
 from hal.scenes import Scene
 from hal.types import NS, LidarScan, Sample
 from rbtrg_robot import topics as t
@@ -94,7 +94,7 @@ def test_a_robot_without_a_head_lidar_starts_in_a_narrow_lane() -> None:
 
 @pytest.mark.usefixtures("in_lane")
 def test_ground_ahead_is_seen_to_the_first_crest_and_a_silent_head_lidar_is_told() -> None:
-    with stack(DEFAULT_LIDARS, step=1) as made:
+    with stack(describe().lidars, step=1) as made:
         made.wait_ready()
         run(made, 1.5)
         patch = made.host.stage("elevation").map.window(0.9, 0.0, 0.5)
@@ -119,7 +119,7 @@ def test_a_robot_whose_head_lidar_never_spoke_does_not_drive_into_a_pit_before_i
 ) -> None:
     scene = lane(pit)
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
-    with stack(DEFAULT_LIDARS) as made:
+    with stack(describe().lidars) as made:
         mute(made, "head")
         made.wait_ready()
         run(made, 1.0)
@@ -138,10 +138,11 @@ def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_
     creep: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whether its wheels feel edges or not."""
-    monkeypatch.setitem(CAPABILITIES, "hybrid", replace(CAPABILITIES["hybrid"], creep=creep))
+    own = Robot.capabilities
+    monkeypatch.setattr(Robot, "capabilities", lambda self, name: replace(own(self, name), creep=creep))
     scene = lane(lambda x: pit(-x), first=-4.5)
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
-    with stack(DEFAULT_LIDARS, step=1) as made:
+    with stack(describe().lidars, step=1) as made:
         made.wait_ready()
         run(made, 1.0)
         mute(made, "head")
@@ -167,7 +168,7 @@ def test_a_robot_whose_head_lidar_falls_silent_while_it_drives_stops_before_a_pi
     near = 1.5  # nearer than what the main LiDAR sees of level ground, further than the head's saw from the start
     scene = lane(lambda x: pit(x - near + 0.95))
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
-    with stack(DEFAULT_LIDARS) as made:
+    with stack(describe().lidars) as made:
         made.wait_ready()
         made.send_goal(4.0, 0.0)
         made.run_until(lambda: moved(made) > 0.05, 20.0, "a start")
@@ -183,7 +184,7 @@ def test_a_robot_whose_head_lidar_falls_silent_while_it_drives_stops_before_a_pi
 
 @pytest.mark.usefixtures("in_lane")
 def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> None:
-    with stack(DEFAULT_LIDARS) as made:
+    with stack(describe().lidars) as made:
         made.wait_ready()
         run(made, 0.5)
         assert "taken for granted" not in made.newest[t.MAP_STATUS].warning
@@ -204,7 +205,7 @@ def test_over_kerbs_in_a_narrow_lane_odometry_keeps_its_height(monkeypatch: pyte
     """The main LiDAR sees little ground there, and a wheel that climbs a face tells a velocity that it does not have."""
     scene = lane(plate)
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
-    with stack(DEFAULT_LIDARS) as robot:
+    with stack(describe().lidars) as robot:
         robot.wait_ready()
         true, told = [], []
         while robot.newest[t.TRUTH].pose.pose.position.x < 3.0:

@@ -12,7 +12,7 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from hal.go2w import BODY_WIDTH
+from hal.robots.go2w.facts import BODY_WIDTH
 from hal.scenes import SceneError
 from rbtrg_robot.cli import plan as plan_command
 from rbtrg_robot.config import ConfigError, load

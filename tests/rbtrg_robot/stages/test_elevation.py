@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.go2w import MOTORS
-from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
+from hal.lidar.config import LidarConfig
+from hal.robots import describe
+from hal.robots.go2w.facts import MOTORS
 from hal.types import JointSample
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.tiles import LIDAR
@@ -95,7 +96,7 @@ def test_the_robot_may_be_as_far_as_it_can_drive_and_no_further(silence: int, re
 
 
 def test_a_head_lidar_without_points_is_told_after_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    fed = Fed(DEFAULT_LIDARS)
+    fed = Fed(describe().lidars)
     for _ in range(3):
         fed.sweep(0.0, 0.0, slice(None))
     warnings, granted = [], []
@@ -134,7 +135,7 @@ def test_a_prior_map_with_a_damaged_cloud_is_refused(bad: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lidars", "starts"), [(DEFAULT_LIDARS, [False, None]), ((LidarConfig(),), [None, None])]
+    ("lidars", "starts"), [(describe().lidars, [False, None]), ((LidarConfig(),), [None, None])]
 )
 def test_the_ground_around_the_start_is_entered_when_the_head_lidar_looks_at_it(
     lidars: tuple[LidarConfig, ...], starts: list[bool | None], monkeypatch: pytest.MonkeyPatch

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.go2w import MOTORS
 from hal.lidar import LidarConfig
+from hal.robots.go2w.facts import MOTORS
 from hal.types import JointSample
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.tiles import LIDAR

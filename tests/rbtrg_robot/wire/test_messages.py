@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.go2w import MOTORS
+from hal.robots.go2w.facts import MOTORS
 from hal.types import POINT_DTYPE, ImuSample, JointSample, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import topics

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hal.envelope import FAILURES, SPORT, Axis, Table, read, stored
-from hal.locomotion.vmc import VmcController, warm_up
+from hal.robots import describe
+from hal.robots.go2w.locomotion.vmc import VmcController, warm_up
 from tools.bench.envelope import run
 from tools.bench.envelope.campaign import GRID, Tally, log_losses, measure
 from tools.bench.envelope.manoeuvres import MANOEUVRES, attempt
@@ -46,9 +47,9 @@ def test_what_is_easy_ends_well_and_what_is_hopeless_fails(
 
 
 def test_a_bench_that_goes_on_with_a_file_counts_what_one_run_does(vmc, tmp_path: Path) -> None:
-    measure(vmc, "vmc", tmp_path / "whole.json", drives=2, only="gap")
-    measure(vmc, "vmc", tmp_path / "parts.json", drives=1, only="gap")
-    measure(vmc, "vmc", tmp_path / "parts.json", drives=1, only="gap")
+    measure(vmc, "vmc", tmp_path / "whole.json", describe(), drives=2, only="gap")
+    measure(vmc, "vmc", tmp_path / "parts.json", describe(), drives=1, only="gap")
+    measure(vmc, "vmc", tmp_path / "parts.json", describe(), drives=1, only="gap")
     whole, parts = (read(tmp_path / f"{name}.json").manoeuvres["gap"] for name in ("whole", "parts"))
     assert whole.drives == whole.trials.sum() == 2
     assert whole == parts

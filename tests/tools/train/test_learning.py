@@ -10,7 +10,7 @@ pytest.importorskip("optax")
 
 from rich.console import Console
 
-from hal.locomotion.policy import PolicyController, forward
+from hal.robots.go2w.locomotion.policy import PolicyController, forward
 from tools.train import network, perceptron, ppo
 from tools.train.checkpoint import Checkpoint
 from tools.train.cloning import fit

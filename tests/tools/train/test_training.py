@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hal import go2w
-from hal.locomotion.hybrid import ONWARD, TURN_MOST
-from hal.locomotion.layout import FRAME, Layout
-from hal.locomotion.policy import PolicyController
-from hal.locomotion.torchfile import Layer
-from hal.locomotion.weights import save_weights
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.attitude import GAIN, AttitudeFilter
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
+from hal.robots.go2w.locomotion.layout import FRAME, Layout
+from hal.robots.go2w.locomotion.policy import PolicyController
+from hal.robots.go2w.locomotion.torchfile import Layer
+from hal.robots.go2w.locomotion.weights import save_weights
 from hal.rotation import rotation as matrix_of
 from hal.rotation import up_of
 from hal.types import PostureCommand, VelocityCommand

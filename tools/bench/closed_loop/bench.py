@@ -16,9 +16,9 @@ from typing import Any
 
 from rich.progress import track
 
-from hal.locomotion.controllers import policy_of
-from hal.locomotion.torchfile import PolicyError
-from hal.lowlevel import CONTROLLERS, Controller
+from hal.robots import describe
+from hal.robots.go2w.locomotion.controllers import policy_of
+from hal.robots.go2w.locomotion.torchfile import PolicyError
 from tools.bench.closed_loop import lrc, protocol
 from tools.bench.closed_loop.routes import Route, routes
 from tools.bench.closed_loop.tables import markdown, report
@@ -94,7 +94,7 @@ def _options(args: list[str]) -> argparse.Namespace:
     add("--out", type=Path, required=True, help="folder of records, tables and pictures")
     add("--scenes", type=names(protocol.SCENES), default=list(protocol.SCENES))
     add("--methods", type=names(protocol.METHODS, own=True), default=["native", "full"])
-    add("--controller", type=names(CONTROLLERS), default=["policy"])
+    add("--controller", type=names(describe().own), default=["policy"])
     add("--colliders", type=names(protocol.COLLIDERS), default=["all"])
     add(
         "--policy",
@@ -161,7 +161,7 @@ def _routes(options: argparse.Namespace) -> dict[Key, Route]:
     return {key: Route(**record) for key, record in known.items()}
 
 
-def plan_query(scene: str, query: int, methods: list[str], controllers: list[Controller]) -> dict[str, Any]:
+def plan_query(scene: str, query: int, methods: list[str], controllers: list[str]) -> dict[str, Any]:
     """Routes of a query as JSON."""
     return {"routes": [asdict(r) for r in routes(scene, query, methods, controllers)]}
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from hal.lowlevel import Controller
 from planning.tracking import TrackerConfig
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
@@ -69,7 +68,7 @@ class Trial:
     scene: str
     query: int
     method: str
-    controller: Controller
+    controller: str
     colliders: str
     draw: int
 
@@ -81,7 +80,7 @@ class Trial:
 
 def trials(
     methods: list[str],
-    controllers: list[Controller],
+    controllers: list[str],
     colliders: list[str],
     scenes: list[str],
     draws: int,

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.lowlevel import Controller
-from hal.mujoco.config import CAPABILITIES
+from hal.robots import describe
 from hal.scenes import Scene, load_scene
 from mapping.grid import ElevationGrid
 from planning.baselines import art
@@ -71,7 +70,7 @@ def scene_of(name: str) -> Scene:
     return load_scene(name)
 
 
-def routes(scene: str, query: int, methods: list[str], controllers: list[Controller]) -> list[Route]:
+def routes(scene: str, query: int, methods: list[str], controllers: list[str]) -> list[Route]:
     """Routes of a query. Graph seed is the number of the query."""
     out: list[Route] = []
     shared = [m for m in methods if m != "ours"]
@@ -119,14 +118,14 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
     return out
 
 
-def _as_it_drives(name: str, query: int, controller: Controller) -> Route:
+def _as_it_drives(name: str, query: int, controller: str) -> Route:
     """As the planner process does it: corrected graph within the controller's limits, real endpoints, straight chords,
     backward where that costs less, the path with its guard, its speeds and its headings.
     """
     scene = scene_of(name)
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
-    robot = CAPABILITIES[controller]
+    robot = describe().capabilities(controller)
     params = GraphConfig().params(robot, controller)
     limits = PathLimits(
         max_speed=SPEED,

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal import go2w
-from hal.locomotion.controllers import controller_of
-from hal.mujoco.config import CAPABILITIES
 from hal.mujoco.contacts import PARTS
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
+from hal.robots import describe
+from hal.robots.go2w import facts as go2w
+from hal.robots.go2w.locomotion.controllers import controller_of
 from planning.tracking import PathTracker, TrackerConfig, TrackPhase
 from tools.bench.closed_loop import protocol as p
 from tools.bench.closed_loop.routes import Route, scene_of
@@ -48,7 +48,7 @@ def tracker_of(trial: p.Trial) -> PathTracker:
     """The frozen tracker; the planner as it drives keeps the controller's least speeds, as the stack does."""
     config: TrackerConfig = p.TRACKER
     if trial.method == "ours":
-        robot = CAPABILITIES[trial.controller]
+        robot = describe().capabilities(trial.controller)
         least = {
             "min_speed": max(config.min_speed, robot.min_vx),
             "min_yaw_rate": max(config.min_yaw_rate, robot.min_wz),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.lowlevel import CONTROLLERS
+from hal.robots import describe
 from planning.risk.body import BodyModel
 from tools.bench.closed_loop import protocol
 from tools.bench.closed_loop.bench import read
@@ -123,7 +123,7 @@ def run(args: list[str]) -> Report:
     add = parser.add_argument
     add("--out", type=Path, required=True, help="folder of a study")
     add("--methods", default="native,full", help="two that share a graph")
-    add("--controller", choices=CONTROLLERS, default="policy")
+    add("--controller", choices=describe().own, default="policy")
     add("--colliders", choices=protocol.COLLIDERS, default="all")
     add("--policy", default="", help="folder of the learnt policy, for the strips")
     add("--strips", type=int, default=0, help="how many film strips at most: each drives two trials again")

@@ -23,10 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.envelope import FAILURES, PARTS, SPORT, Envelope, file_of, limits, stored
-from hal.locomotion.controllers import controller_of
-from hal.lowlevel import CONTROLLERS, Controller, Locomotion
-from hal.mujoco.config import CAPABILITIES
+from hal.envelope import FAILURES, PARTS, SPORT, Envelope, limits, stored
+from hal.lowlevel import Locomotion
+from hal.robots import DEFAULT, describe
 from tools.bench.envelope.asked import (
     BACK,
     BARS,
@@ -56,18 +55,21 @@ from tools.bench.envelope.lane import WAYS as LANE_WAYS
 from tools.bench.envelope.picture import draw
 from tools.bench.envelope.response import along, turning, turning_while_driving
 from tools.bench.envelope.terrain import ANGLES
-from tools.bench.envelope.trial import RUNS, Conditions, drive
+from tools.bench.envelope.trial import DT, RUNS, Conditions, drive
 from tools.bench.envelope.turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
 
-ASSUMED_FROM: Controller = "vmc"
+ASSUMED_FROM: str = "vmc"
 """Whose counts stand for the vendor's service: of those measured the one that climbs least."""
 
 
 def run(args: list[str]) -> Report:
     """Run this bench; returns its rows. `--only` drives what its keys need; exit 2 when no key begins so."""
     parser = argparse.ArgumentParser(prog="envelope", description=__doc__)
-    parser.add_argument("--controller", choices=(*CONTROLLERS, SPORT), default="vmc")
+    parser.add_argument(
+        "--robot-model", default=DEFAULT, help="name or folder; another than the default: --write alone"
+    )
+    parser.add_argument("--controller", default="vmc", help="of those in its description")
     parser.add_argument(
         "--policy",
         default="",
@@ -89,20 +91,26 @@ def run(args: list[str]) -> Report:
         "--file", type=Path, default=None, help="that `--write` adds to; else the controller's own"
     )
     options = parser.parse_args(args)
+    robot = describe(options.robot_model)
+    if options.controller not in robot.controllers:
+        parser.error(f"--controller: {robot.title} has {', '.join(robot.controllers)}")
     if options.controller == SPORT:
         if not options.write:
             parser.error(
                 f"{SPORT} runs on the real robot alone; with --write its envelope is assumed from {ASSUMED_FROM}'s"
             )
         envelope = assumed(stored(ASSUMED_FROM))
-        envelope.write(options.file or file_of(SPORT))
+        envelope.write(options.file or robot.envelope_file(SPORT))
         return counted(envelope)
-    controller = controller_of(options.controller, options.policy)
+    controller: Locomotion = robot.load(robot.simulated).controller(options.controller, options.policy, DT)
+    if robot.name != DEFAULT and not options.write:
+        parser.error(f"courses are those of {DEFAULT}: with {robot.name} use --write")
     if options.write:
         envelope = measure(
             controller,
             options.controller,
-            options.file or file_of(options.controller),
+            options.file or robot.envelope_file(options.controller),
+            robot,
             seconds=options.seconds,
             drives=options.drives,
             seed=options.seed,
@@ -153,7 +161,7 @@ class _Bench:
 
     report: Report
     controller: Locomotion
-    name: Controller
+    name: str
     only: str
 
     def _wanted(self, row: str) -> bool:
@@ -223,11 +231,13 @@ class _Bench:
         name, add = self.name, self.report.add
         for kind in ("face", "bar"):
             for height in OBLIQUE:
-                if height <= 100.0 * CAPABILITIES[name].max_step and self._wanted(f"oblique_{kind}_{height}"):
+                if height <= 100.0 * describe().capabilities(name).max_step and self._wanted(
+                    f"oblique_{kind}_{height}"
+                ):
                     passed = [self._passed(f"{kind}{angle}_{height}") == len(RUNS) for angle in ANGLES]
                     first = passed.index(False) if False in passed else len(ANGLES)
                     add(f"oblique_{kind}_{height}.{name}", ANGLES[first - 1] if first else -1, "deg")
-        most = 100.0 * CAPABILITIES[name].max_posts
+        most = 100.0 * describe().capabilities(name).max_posts
         for height in (h for h in POSTS if 0.5 * most <= h <= 2.0 * most):
             for speed in POSTS_SPEEDS:
                 if self._wanted(f"posts_{height}_{speed}"):
@@ -235,7 +245,9 @@ class _Bench:
                     add(f"posts_{height}_{speed}.{name}", successes, f"of {len(RUNS)}")
         for kind in ("bar", "step"):
             for height in BACK:
-                if height <= 100.0 * CAPABILITIES[name].max_step and self._wanted(f"back_{kind}_{height}"):
+                if height <= 100.0 * describe().capabilities(name).max_step and self._wanted(
+                    f"back_{kind}_{height}"
+                ):
                     ends = [
                         passes_backward(self.controller, kind, height / 100.0, *trial) for trial in TRIALS
                     ]
@@ -291,7 +303,7 @@ class _Bench:
 
     def responses(self) -> None:
         """What slow commands do; the limits are the capabilities that the tracker goes by."""
-        name, add, robot = self.name, self.report.add, CAPABILITIES[self.name]
+        name, add, robot = self.name, self.report.add, describe().capabilities(self.name)
         for kind, least in (("vx", robot.min_vx), ("wz", robot.min_wz), ("wz_driving", None)):
             if self._wanted(f"deadband_{kind}") or self._wanted(f"gain_{kind}"):
                 measure = {"vx": along, "wz": turning, "wz_driving": turning_while_driving}[kind]

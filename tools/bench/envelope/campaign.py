@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 
 from hal.envelope import FAILURES, MAX_RISK, PARTS, SPORT, Axis, Envelope, Fit, Table, read
 from hal.lowlevel import Locomotion
+from hal.robots import Robot
 from hal.types import Array
 from tools.bench.envelope.manoeuvres import DRAWN, MANOEUVRES, attempt
 
 Per = Literal["crossing", "riser", "radian", "metre"]
 
 _HEIGHT = Axis(
-    name="height", unit="m", values=(0.05, 0.08, 0.10, 0.12, 0.15, 0.18, 0.20, 0.23, 0.26, 0.30, 0.35)
+    name="height",
+    unit="m",
+    values=(0.02, 0.03, 0.04, 0.05, 0.08, 0.10, 0.12, 0.15, 0.18, 0.20, 0.23, 0.26, 0.30, 0.35),
 )
 _FACE = (
     _HEIGHT,
@@ -30,12 +33,12 @@ _FACE = (
     Axis(name="slope", unit="deg", values=(0, 10, 20)),
 )
 _STAIRS = (
-    Axis(name="riser", unit="m", values=(0.10, 0.13, 0.15, 0.17, 0.20, 0.25)),
+    Axis(name="riser", unit="m", values=(0.03, 0.05, 0.10, 0.13, 0.15, 0.17, 0.20, 0.25)),
     Axis(name="tread", unit="m", values=(0.24, 0.26, 0.28, 0.30, 0.35)),
     Axis(name="angle", unit="deg", values=(0, 10, 20, 30, 45)),
 )
 _TURN = (
-    Axis(name="height", unit="m", values=(0.0, 0.03, 0.05, 0.08, 0.10, 0.12, 0.15, 0.20)),
+    Axis(name="height", unit="m", values=(0.0, 0.02, 0.03, 0.05, 0.08, 0.10, 0.12, 0.15, 0.20)),
     Axis(name="slope", unit="deg", values=(0, 10, 20, 30)),
     Axis(name="astride", unit="-", values=(0, 1)),
 )
@@ -51,7 +54,7 @@ GRID: dict[str, tuple[Per, tuple[Axis, ...], int]] = {
     "slope": (
         "metre",
         (
-            Axis(name="steepness", unit="deg", values=(10, 15, 20, 25, 30, 35, 40, 45)),
+            Axis(name="steepness", unit="deg", values=(5, 10, 15, 20, 25, 30, 35, 40, 45)),
             Axis(name="direction", unit="deg", values=(0, 45, 90, 135, 180)),
         ),
         2,
@@ -59,14 +62,14 @@ GRID: dict[str, tuple[Per, tuple[Axis, ...], int]] = {
     "posts": (
         "metre",
         (
-            Axis(name="height", unit="m", values=(0.04, 0.05, 0.07, 0.10, 0.12, 0.15, 0.20)),
+            Axis(name="height", unit="m", values=(0.02, 0.03, 0.04, 0.05, 0.07, 0.10, 0.12, 0.15, 0.20)),
             Axis(name="speed", unit="m/s", values=(0.2, 0.3, 0.4, 0.5)),
         ),
         1,
     ),
     "gap": (
         "crossing",
-        (Axis(name="width", unit="m", values=(0.06, 0.08, 0.10, 0.12, 0.14, 0.16, 0.20, 0.25, 0.30)),),
+        (Axis(name="width", unit="m", values=(0.03, 0.06, 0.08, 0.10, 0.12, 0.14, 0.16, 0.20, 0.25, 0.30)),),
         1,
     ),
 }
@@ -128,7 +131,9 @@ class Tally:
         """
         fit = self.fitted()
         mean, bound = -np.expm1(-fit.mean(self.parts)), -np.expm1(-fit.bound(self.parts))
-        worth = (bound - mean) * (mean <= MAX_RISK) * self.usual
+        worth = (bound - mean) * self.usual
+        if (mean <= MAX_RISK).any():
+            worth *= mean <= MAX_RISK
         flat = (worth + ELSEWHERE * worth.max() * (self.parts.sum(-1) > 0.0)).ravel()
         flat /= flat.sum()
         return tuple(int(k) for k in np.unravel_index(rng.choice(flat.size, p=flat), worth.shape))
@@ -186,6 +191,7 @@ def measure(
     controller: Locomotion,
     name: str,
     path: Path,
+    robot: Robot,
     *,
     seconds: float = np.inf,
     drives: int | None = None,
@@ -197,6 +203,7 @@ def measure(
     Which trial comes next depends on the counts and `seed` alone, so a file that is interrupted and gone on with is the same.
     `only`: the beginning of the manoeuvres' names. Raises EnvelopeError for a damaged file.
     """
+    model = robot.load(robot.simulated)
     old = read(path).manoeuvres if path.exists() else {}
     tallies = {m: Tally.of(m, old[m]) if m in old else Tally(m) for m in GRID}
     chosen = [m for m in GRID if m.startswith(only)]
@@ -209,13 +216,13 @@ def measure(
         cell = tally.next_cell(rng)
         axes = GRID[m][1]
         values = tuple(float(a.si[k]) for a, k in zip(axes, cell, strict=True))
-        end = attempt(controller, MANOEUVRES[m](values, rng))
+        end = attempt(controller, MANOEUVRES[m](values, rng), model)
         tally.add(cell, end.units, end.failure)
         driven += 1
         if time.monotonic() - kept > KEEP_EVERY:
-            _envelope(name, tallies, judged=False).write(path)
+            _envelope(robot.name, name, tallies, judged=False).write(path)
             kept = time.monotonic()
-    envelope = _envelope(name, tallies)
+    envelope = _envelope(robot.name, name, tallies)
     envelope.write(path)
     return envelope
 
@@ -234,9 +241,9 @@ def assumed(measured: Envelope) -> Envelope:
     return measured.model_copy(update=update)
 
 
-def _envelope(name: str, tallies: dict[str, Tally], judged: bool = True) -> Envelope:
+def _envelope(robot: str, name: str, tallies: dict[str, Tally], judged: bool = True) -> Envelope:
     return Envelope(
-        robot="go2w",
+        robot=robot,
         controller=name,
         physics=f"hal.mujoco on MuJoCo {mujoco.__version__}, steps of 5 ms",
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hal.lowlevel import Controller, Locomotion
+from hal.lowlevel import Locomotion
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.scenes.lanes import lane
@@ -54,7 +54,7 @@ def through_lane(
     seed: int,
     kind: str,
     way: tuple[float, float, float],
-    envelope: Controller = "vmc",
+    envelope: str = "vmc",
     level: int = 4,
 ) -> Passage:
     """Drive the lane of a seed with the layout `single`, made of `kind`, graded for `envelope`."""

@@ -14,10 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hal import go2w
 from hal.envelope import FAILURES
+from hal.limbs import LEGS
 from hal.lowlevel import Locomotion
 from hal.mujoco.driver import Driver
+from hal.mujoco.robot import Simulated
 from hal.mujoco.sim import Simulation
 from hal.rotation import wrap
 from tools.bench.envelope.terrain import RESOLUTION, posts
@@ -58,7 +59,7 @@ way up does so for less, and all such drives came up."""
 JUDGE_EVERY = 4
 """Physics steps between two looks of the judge."""
 HALF_LENGTH, HALF_WIDTH = 0.29, 0.23
-"""Of the wheels' footprint [m]: axle to centre and wheel radius; track and half a wheel."""
+"""Of the wheels' footprint of the largest robot [m]: axle to centre and wheel radius; track and half a wheel."""
 MARGIN = 0.6
 """Ground beyond start and finish [m]."""
 BAR = 0.10
@@ -158,17 +159,17 @@ class _Line:
         return t.rate + float(steering(-side * outside, off)), outside, off
 
 
-def attempt(controller: Locomotion, trial: Trial) -> Attempt:
-    """Drive a trial to its end."""
+def attempt(controller: Locomotion, trial: Trial, robot: Simulated | None = None) -> Attempt:
+    """Drive a trial to its end, with a robot or the default one."""
     t = trial
     most_aside, most_off = (ROUGH_ASIDE, ROUGH_OFF) if t.rough else (MAX_ASIDE, MAX_OFF)
-    sim = Simulation(t.height, RESOLUTION, t.corner, friction=t.friction, timestep=DT, payload=t.payload)
+    sim = Simulation(t.height, RESOLUTION, t.corner, t.friction, timestep=DT, payload=t.payload, robot=robot)
     sim.reset(*t.start, settle=0.3)
     driver = Driver(sim, controller)
     driver.settle(0.4)
     line = _Line(t)
     # The middle of its wheels: the trunk sways by 0.1 m where a controller shifts its weight to lift a wheel.
-    wheels = [sim.model.body(f"{leg}_wheel").id for leg in go2w.LEGS]
+    wheels = [sim.model.body(f"{leg}_wheel").id for leg in LEGS]
     x, y, _ = sim.data.xpos[wheels].mean(0).tolist()
     line.begin(x, y, sim.yaw)
     best, moved = 0.0, sim.time

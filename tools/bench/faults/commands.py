@@ -6,7 +6,7 @@ import math
 import random
 
 from hal.contract import BackendError
-from hal.lidar.config import DEFAULT_LIDARS
+from hal.robots import describe
 from hal.safety.monitors import MAIN_SILENT, OLD_HANDS, ROLLS_ON, TWO_ROBOTS
 from hal.types import NS, LidarScan, Sample
 from rbtrg_robot import msg
@@ -78,7 +78,7 @@ def _two_at_the_start(serial: float, seed: int) -> Outcome:
 
 def _stack(seed: int) -> Lockstep:
     stack = Lockstep(
-        load(None, ["record=false", "sim.lidar_step=8"], scene="yard", seed=seed, lidars=DEFAULT_LIDARS)
+        load(None, ["record=false", "sim.lidar_step=8"], scene="yard", seed=seed, lidars=describe().lidars)
     )
     stack.wait_ready()
     return stack

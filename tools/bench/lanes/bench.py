@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hal.lowlevel import CONTROLLERS
+from hal.robots import describe
 from tools.bench.lanes.picture import draw
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, drive
@@ -69,7 +69,7 @@ def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argpar
         "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
     )
     options = parser.parse_args(args)
-    for name, known in (("controller", set(CONTROLLERS)), ("map", {"prior", "seen"})):
+    for name, known in (("controller", set(describe().own)), ("map", {"prior", "seen"})):
         if unknown := set(getattr(options, name).split(",")) - known:
             parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
     for folder in (options.pictures, options.logs):

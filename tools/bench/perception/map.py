@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.robots import describe
 from hal.rotation import rotation, turn
 from hal.scenes import Scene
 from hal.types import NS, Array, ImuSample, JointSample, LidarScan
@@ -73,7 +74,7 @@ def registered(run: SyntheticRun) -> Iterator[Registered]:
             p = sample.points
             xyz = np.stack([p["x"], p["y"], p["z"]], axis=1) @ mount[:3, :3].T + mount[:3, 3]
             cloud = deskew(xyz.astype(np.float32), p["time"], stamps, track, sample.stamp, np.zeros(3))
-            contacts = np.zeros((0, 3)) if joints is None else wheel_contacts(joints)
+            contacts = np.zeros((0, 3)) if joints is None else wheel_contacts(describe().limbs, joints)
             yield Registered(int(stamps[-1]), cloud, position[-1], orientation[-1], contacts)
 
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import STAND, stand_height
 from hal.lidar.caster import OrientedBox, TerrainCaster
-from hal.lidar.config import DEFAULT_LIDARS
 from hal.lidar.simulator import LidarSimulator
+from hal.robots import describe
+from hal.robots.go2w.facts import STAND, stand_height
 from hal.rotation import quaternion, rotation_rpy, rpy_of, wrap
 from hal.scenes import Scene, load_scene
 from hal.types import Array
@@ -140,10 +140,10 @@ class Eyes:
     """Both LiDARs of the robot."""
 
     def __init__(self, caster: TerrainCaster, seed: int) -> None:
-        self.lidars = [lidar.mounted() for lidar in DEFAULT_LIDARS]
+        self.lidars = [lidar.mounted() for lidar in describe().lidars]
         self._sims = [
             LidarSimulator(lidar.spec, m.mount, caster, seed, name=m.name)
-            for lidar, m in zip(DEFAULT_LIDARS, self.lidars, strict=True)
+            for lidar, m in zip(describe().lidars, self.lidars, strict=True)
         ]
         self._now = 1_000_000_000
 

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import psutil
 
+from hal.robots import describe
 from hal.types import GroundTruth, JointSample
 from mapping.elevation.map import ElevationMap
 from mapping.grid import ElevationGrid
@@ -42,7 +43,9 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
         for r in results:
             elevation.fuse(r.cloud, r.position, r.orientation, r.stamp, run.sensor)
             if joints is not None:
-                elevation.fuse_ground(wheel_contacts(joints), r.position, r.orientation, r.stamp)
+                elevation.fuse_ground(
+                    wheel_contacts(describe().limbs, joints), r.position, r.orientation, r.stamp
+                )
             if len(cpu) % 3 == 0:
                 elevation.clean()
             elevation.take_patches()

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hal import go2w
 from hal.mujoco.config import Obstacle
 from hal.mujoco.view.render import Film, RenderError, View, egl_works, gl_context, launch_viewer
 from hal.mujoco.view.video import write_mp4
+from hal.robots.go2w import facts as go2w
 from hal.scenes import Scene
 from hal.types import NS, GroundTruth, JointSample, Sample
 from tests.places import needs_gl

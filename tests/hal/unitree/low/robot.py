@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from hal.lidar.config import only
-from hal.locomotion.controllers import controller_of
 from hal.lowlevel import LowCommand, LowState
 from hal.postures.modes import Modes
 from hal.postures.motion import damped
+from hal.robots.go2w.locomotion.controllers import controller_of
 from hal.scenes import Scene
 from hal.types import NS, Phase, VelocityCommand
 from hal.unitree.api import Request, Response, WireError

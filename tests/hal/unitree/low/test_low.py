@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal import go2w
 from hal.contract import BackendError
 from hal.lowlevel import LowCommand, LowState
 from hal.postures.motion import damped
+from hal.robots.go2w import facts as go2w
 from hal.rotation import quaternion, rotation_rpy, up_of
 from hal.scenes import Scene
 from hal.types import NS, ModeRequest, Phase, PostureCommand, VelocityCommand

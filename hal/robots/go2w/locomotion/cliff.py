@@ -1,0 +1,82 @@
+"""Stopping at an edge, felt by the wheels while the robot creeps.
+
+A wheel that rolls over an edge stands on it with its flank: the ground pushes it forward as well as up. How far that force leans
+tells how far the wheel is over the edge, long before it hangs; once it hangs, on an edge met head-on, nothing holds the robot any
+more. So the leading wheels are drawn back under the trunk at once, which the legs can do much faster than the robot can brake, and
+the robot backs off. An edge of 2 cm and one of 2 m feel the same until then, so this happens only to a robot that feels its way:
+commanded no faster than `creep`. Driving away ends it, or a faster command: then the robot comes down blind.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from hal.robots.go2w.facts import DAMPING, FRICTIONLOSS, HIP_X, HIP_Y, SX, SY, WHEEL_RADIUS
+from hal.robots.go2w.locomotion.contact import clip
+from hal.robots.go2w.locomotion.params import VmcParams
+from hal.types import Array
+
+CREEP_TIME = 0.4
+"""The command must have been slow for this long [s]: starting to drive and coming to rest is not creeping."""
+LEAVE_TIME = 1.0
+"""Longer by this [s] after driving away: that way it came, and its wheels are still in motion."""
+FILTER = 0.015
+"""Time constant of the lean [s]."""
+STRETCHED = 0.38
+"""Axle below hip [m] from which a leg without load hangs..."""
+HANG_TIME = 0.03
+"""... when it lasts this long [s]."""
+BACK_OFF = 0.12
+"""How far it drives back from the edge [m], as long as it is commanded towards it..."""
+BACK_SPEED = 0.15
+"""... at this speed [m/s]."""
+TUCK = 0.09
+"""How far the leading wheels are drawn back under the trunk [m], until it has backed off..."""
+TUCK_RATE = 2.0
+"""... at this speed [m/s]."""
+
+
+@njit(cache=True)
+def feel_edges(
+    m, tau: Array, dq: Array, centres: Array, rot: Array, command_vx: float, dt: float, p: VmcParams
+) -> float:
+    """Watch for edges; returns the speed [m/s] to drive at instead of `command_vx`. Call it while no wheel is being lifted.
+
+    `tau`, `dq` (16,) measured; `centres` (4, 3) wheel centres, H; `rot` (3, 3) H <- base_link. Sets `cliff`, +1 or -1.
+    """
+    stretched = False
+    worst = 0.0
+    creeping = 0.0 < abs(command_vx) <= p.creep and command_vx * m.vx >= 0.0
+    m.creep = m.creep + dt if creeping else 0.0
+    way = m.cliff if m.cliff != 0.0 else (1.0 if command_vx > 0.0 else -1.0)
+    for leg in range(4):
+        # Angle of the contact force in the rolling plane, less the share that the motor's torque makes along the tread.
+        f = m.force[leg]
+        size = math.sqrt(f[0] * f[0] + f[2] * f[2])
+        rate = dq[12 + leg]
+        torque = tau[12 + leg] - FRICTIONLOSS * clip(rate / 0.5, -1.0, 1.0) - DAMPING * rate
+        lean = 0.0
+        if size > p.contact_on:
+            lean = math.atan2(f[0], f[2]) - math.asin(clip(torque / (WHEEL_RADIUS * size), -0.6, 0.6))
+        m.lean[leg] += dt / (dt + FILTER) * (clip(lean, -1.6, 1.6) - m.lean[leg])
+        length = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg] - centres[leg, 2]
+        hanging = m.contact[leg] == 0 and length > STRETCHED
+        m.hang[leg] = m.hang[leg] + dt if hanging else 0.0
+        if way * SX[leg] > 0.0:
+            worst = max(worst, way * (m.lean[leg] + math.atan(m.grade[0])))
+            stretched = stretched or m.hang[leg] > HANG_TIME
+    if m.cliff == 0.0:
+        if m.creep > CREEP_TIME and (worst > p.edge_lean or stretched):
+            m.cliff = way
+            m.back_off = BACK_OFF
+    elif command_vx * way < 0.0 or abs(command_vx) > p.creep:
+        m.cliff = 0.0
+        m.creep = -LEAVE_TIME
+    if m.cliff == 0.0:
+        return command_vx
+    if command_vx == 0.0 or m.back_off <= 0.0:
+        return 0.0
+    m.back_off -= max(-way * m.speed, 0.0) * dt
+    return -way * BACK_SPEED

@@ -1,0 +1,1 @@
+"""A differential robot on four fixed wheels."""

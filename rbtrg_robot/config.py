@@ -9,7 +9,7 @@ import math
 import platform
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -19,6 +19,7 @@ from hal.envelope import SPORT, Envelope, stored
 from hal.errors import OperatorError
 from hal.lidar.config import LidarConfig
 from hal.mujoco.config import SimConfig
+from hal.named import PATTERN
 from hal.robots import DEFAULT, Robot, RobotError, describe
 from hal.safety.gate import GateConfig
 from hal.safety.geofence import Fence, Geofence, GeofenceError
@@ -108,7 +109,11 @@ class StackConfig(BaseModel):
     robot_model: str = Field(
         DEFAULT, description="what the robot is: a name of `robot list`, or a folder that holds robot.yaml"
     )
-    backend: Literal["sim", "unitree"] = Field("sim", description="simulated or real robot")
+    backend: str = Field(
+        "sim",
+        pattern=PATTERN,
+        description="sim, unitree, or one of your own: an entry point `rbtrg.backends` or package.module:function",
+    )
     port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
     domain: int = Field(0, ge=0, le=232, description="ROS domain")
     network: NetworkConfig = NetworkConfig()
@@ -238,7 +243,7 @@ class StackConfig(BaseModel):
     @model_validator(mode="after")
     def _of_the_robot(self) -> StackConfig:
         robot = self.facts
-        if self.backend not in robot.backends:
+        if self.backend not in robot.backends and self.backend in ("sim", "unitree"):
             raise ValueError(
                 f"backend: {robot.title} is driven by {', '.join(robot.backends)}, not by {self.backend}"
             )
@@ -312,7 +317,7 @@ class StackConfig(BaseModel):
         """The LiDARs in base_link."""
         return (
             self.unitree_options().mounted()
-            if not self.simulated
+            if self.backend == "unitree"
             else tuple(lidar.mounted() for lidar in self.facts.mounted(self.lidars))
         )
 
@@ -323,9 +328,9 @@ class StackConfig(BaseModel):
     def capabilities(self) -> Capabilities:
         """What the robot can do with its controller."""
         return (
-            self.facts.capabilities(self.controller)
-            if self.simulated
-            else self.unitree_options().capabilities(self.controller)
+            self.unitree_options().capabilities(self.controller)
+            if self.backend == "unitree"
+            else self.facts.capabilities(self.controller)
         )
 
     def envelope(self) -> Envelope:
@@ -345,7 +350,7 @@ class StackConfig(BaseModel):
     @property
     def _measured(self) -> str:
         """Whose envelope counts, as `hal.envelope.stored` calls it."""
-        controller = self.controller if self.simulated else SPORT
+        controller = SPORT if self.backend == "unitree" else self.controller
         return controller if self.robot_model == DEFAULT else f"{self.robot_model}/{controller}"
 
     def crossing(self) -> Crossing:
@@ -378,7 +383,7 @@ class StackConfig(BaseModel):
             "robot_model": self.facts.title,
             "backend": self.backend,
             "scene": self.scene if self.simulated else "",
-            "controller": self.controller if self.simulated or self.unitree.level == "low" else "",
+            "controller": self.controller if self.backend != "unitree" or self.unitree.level == "low" else "",
             "lidars": ", ".join(f"{lidar.name} {lidar.model}" for lidar in self.lidars),
             "seed": str(self.seed),
             "clock": "simulated" if self.simulated else "wall",

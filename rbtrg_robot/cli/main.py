@@ -24,6 +24,7 @@ from rbtrg_robot.cli import (
     mission,
     plan,
     policy,
+    robots,
     service,
     stack,
     step,
@@ -77,6 +78,7 @@ service.register(app)
 keys.register(app)
 calibrate.register(app)
 policy.register(app)
+robots.register(app)
 
 
 def main() -> None:

@@ -23,12 +23,12 @@ def policy_get(
         str,
         typer.Option(help="Another URL that holds the repository's files; they are checked all the same."),
     ] = "",
-    model: Annotated[str, typer.Option("--robot-model", help="Name or folder of the robot.")] = "go2w",
+    model: Annotated[str, typer.Option("--robot-model", help="Name or folder of the robot.")] = "",
 ) -> None:
     """Fetch a public policy, check it, keep it in the data folder. `--policy NAME` then finds it."""
-    from hal.robots import RobotError, describe
+    from hal.robots import DEFAULT, RobotError, describe
 
-    robot = describe(model)
+    robot = describe(model or DEFAULT)
     if not robot.fetches:
         raise RobotError(f"robot {robot.name} knows no public policies: `fetches` in its robot.yaml is empty")
     for line in robot.load(robot.fetches)(name, source):

@@ -39,11 +39,14 @@ def register(app: typer.Typer) -> None:
 
 
 def up(
-    backend: Annotated[str | None, typer.Option(help="sim or unitree.")] = None,
+    backend: Annotated[str | None, typer.Option(help="sim, unitree or one of your own.")] = None,
+    robot_model: Annotated[
+        str | None, typer.Option(metavar="NAME|FOLDER", help="What the robot is: see `robot list`.")
+    ] = None,
     scene: Annotated[str | None, typer.Option(help="Built-in scene or terrain file.")] = None,
     controller: Annotated[
         str | None,
-        typer.Option(help="Locomotion in simulation: hybrid (default), vmc or policy."),
+        typer.Option(help="Locomotion in simulation: see `robot show`."),
     ] = None,
     policy: Annotated[
         Path | None, typer.Option(help="Locomotion policy: folder, file, or name of a fetched one.")
@@ -100,6 +103,9 @@ def up(
             config,
             [*(set_ or ()), *([] if console_port is None else [f"console.port={console_port}"])],
             backend=backend,
+            robot_model=str(Path(robot_model).resolve())
+            if robot_model and Path(robot_model).is_dir()
+            else robot_model,
             scene=scene,
             controller=controller,
             policy_dir=str(policy) if policy else None,
@@ -173,7 +179,7 @@ def _check(config: StackConfig) -> None:
             from hal.mujoco.view.render import require_display
 
             require_display()
-    else:
+    elif config.backend == "unitree":
         from hal.unitree.factory import check
 
         check(config.interface)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hal.contract import Backend
+from hal.named import named
 from hal.safety.gate import SafetyGate
 from hal.types import NS
 from rbtrg_robot import topics as t
@@ -72,13 +73,18 @@ def _simulator(config: StackConfig, restored: dict[Topic, bytes], begin: int) ->
 
 
 def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
+    clock = clock or SourceClock()
+    if config.backend != "unitree":
+        make = named(config.backend, "backend", "rbtrg.backends", ("sim", "unitree"))
+        made: Backend = make(config, clock)
+        return made
     from hal.unitree.factory import make_backend
 
     backend: Backend = make_backend(
         config.interface,
         dry_run=config.dry_run,
         options=config.unitree_options(),
-        clock=clock or SourceClock(),
+        clock=clock,
         controller=config.controller,
         policy=config.policy_dir,
     )

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from hal.mujoco.backend import MujocoBackend
+from hal.robots import describe
 from hal.scenes import Scene
+from hal.types import ModeRequest, Phase
 from tests.hal.contract_suite import ContractSuite, Rig
 from tests.places import POLICY, needs_shared
 
@@ -23,6 +25,7 @@ def walled_floor() -> Scene:
 
 def rig_of(**options: Any) -> Rig:
     """The simulated robot, its clock, and what its physics can do to it."""
+    robot = options.setdefault("robot", describe())
     backend = MujocoBackend(walled_floor(), lidar_step=20, **options)
     sim = backend.simulation
     follow = sim.apply
@@ -43,7 +46,14 @@ def rig_of(**options: Any) -> Rig:
         """The motors hold what they were last told."""
         sim.apply = (lambda _command: None) if on else follow  # type: ignore[method-assign]
 
-    return Rig(backend, tick, fall, hinder)
+    def lift() -> None:
+        x, y = sim.position[:2].tolist()
+        now = sim.data.time
+        sim.reset(x, y, settle=0.0)
+        sim.data.time = now
+        backend.placed()
+
+    return Rig(backend, tick, fall, hinder, robot, None if robot.name == "go2w" else lift)
 
 
 class TestMujoco(ContractSuite):
@@ -64,3 +74,23 @@ class TestMujocoHybrid(ContractSuite):
     @pytest.fixture
     def rig(self) -> Rig:
         return rig_of(controller="hybrid", policy_dir=str(POLICY))
+
+
+class TestJackal(ContractSuite):
+    """Its wheels sit on its body: sitting and standing move nothing."""
+
+    legs = False
+    joint_range = np.zeros((12, 2))
+    scan_hits = 300
+
+    @pytest.fixture
+    def rig(self) -> Rig:
+        return rig_of(robot=describe("jackal"), controller="drive")
+
+    def test_a_transition_that_does_not_come_to_its_end_is_a_fault_in_time(self, rig: Rig) -> None:
+        rig.seated()
+        rig.hinder(True)
+        rig.backend.request(ModeRequest.STAND)
+        rig.until(Phase.READY, seconds=2.0)
+        rig.backend.request(ModeRequest.SIT)
+        rig.until(Phase.SITTING, seconds=0.1)

@@ -1,0 +1,135 @@
+"""Whether a robot's folder holds together, and what it lacks: for who brings one (`rbtrg-robot robot check`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from hal.errors import OperatorError
+from hal.limbs import LEGS, wheel_centres
+from hal.robots.outline import urdf
+from hal.robots.robot import Robot
+
+MASS, PLACE = 0.05, 0.02
+"""Share of the mass, and [m] of a wheel's place, by which model and description may differ."""
+
+
+class Finding(NamedTuple):
+    """One thing that was looked at."""
+
+    verdict: Literal["ok", "missing", "wrong"]
+    words: str
+    """What it is; of what is missing also what that costs."""
+
+
+def findings(robot: Robot) -> Iterator[Finding]:
+    """All there is to say of a robot."""
+    body, limbs = robot.body, robot.limbs
+    centres = wheel_centres(limbs, robot.pose)
+    reach = 2.0 * (np.abs(centres[:, 0]).max() + (limbs.radius if robot.wheeled else 0.0))
+    across = 2.0 * np.abs(centres[:, 1]).max() + limbs.tread_width
+    if reach > body.length + 2 * PLACE or across > body.width + 2 * PLACE:
+        yield Finding(
+            "wrong",
+            f"body: {body.length} x {body.width} m is smaller than its wheels reach, {reach:.2f} x {across:.2f} m",
+        )
+    else:
+        yield Finding(
+            "ok", f"stands {robot.height:.3f} m high on {reach:.2f} x {across:.2f} m, {body.mass} kg"
+        )
+    names = {lidar.name for lidar in robot.lidars}
+    if "main" not in names:
+        yield Finding("missing", "lidars: no main one; the stack does not start without it")
+    if "head" not in names:
+        yield Finding(
+            "missing",
+            "lidars: none in the head; ground at the feet counts as assumed until the main one saw it",
+        )
+    if not robot.description:
+        yield Finding(
+            "missing", "description: RViz and Foxglove show boxes and lines instead of a URDF of its own"
+        )
+    try:
+        urdf(robot)
+    except OperatorError as error:
+        yield Finding("wrong", f"description: {error}")
+    yield from _envelopes(robot)
+    if "sim" in robot.backends:
+        yield from _simulation(robot)
+    if robot.backends == ("sim",):
+        yield Finding("missing", "backends: only sim; no real robot is driven")
+
+
+def _envelopes(robot: Robot) -> Iterator[Finding]:
+    from hal.envelope import PARTS, EnvelopeError, limits, read
+
+    for name in robot.controllers:
+        measure = f"python -m tools.bench envelope --robot-model {robot.folder} --controller {name} --write"
+        try:
+            envelope = read(robot.envelope_file(name))
+        except EnvelopeError as error:
+            yield Finding("wrong", f"{name}: {error}; the planner needs it: {measure}")
+            continue
+        lacks = [manoeuvre for manoeuvre in PARTS if manoeuvre not in envelope.manoeuvres]
+        if lacks:
+            yield Finding(
+                "missing", f"{name}: {', '.join(lacks)} cost nothing until they are measured: {measure}"
+            )
+            continue
+        able = robot.capabilities(name)
+        over = [
+            f"{key} {getattr(able, key):.2f} (measured {value:.2f})"
+            for key, value in limits(envelope).items()
+            if key != "step_vx" and getattr(able, key) > value + 1e-9
+        ]
+        drives = sum(table.drives for table in envelope.manoeuvres.values())
+        if over:
+            yield Finding(
+                "missing", f"{name}: declares more than {drives} drives bear out: {', '.join(over)}"
+            )
+        else:
+            yield Finding("ok", f"{name}: declares no more than {drives} drives bear out")
+
+
+def _simulation(robot: Robot) -> Iterator[Finding]:
+    """Build it, put it on flat ground, drive it for two seconds."""
+    from hal.mujoco.driver import Driver
+    from hal.mujoco.sim import Simulation
+
+    try:
+        model = robot.load(robot.simulated)
+    except OperatorError as error:
+        yield Finding("wrong", f"simulated: {error}")
+        return
+    sim = Simulation(np.zeros((200, 200), np.float32), 0.05, (-5.0, -5.0), robot=model)
+    mass = float(sim.model.body_mass.sum())
+    if abs(mass - robot.body.mass) > MASS * robot.body.mass:
+        yield Finding("wrong", f"simulated: weighs {mass:.2f} kg, robot.yaml says {robot.body.mass} kg")
+    sim.reset()
+    world = np.array([sim.data.geom_xpos[sim.model.geom(f"{leg}_wheel").id] for leg in LEGS])
+    off = float(
+        np.abs((world - sim.position) @ sim.rotation - wheel_centres(robot.limbs, sim.low_state().q)).max()
+    )
+    if off > PLACE:
+        yield Finding("wrong", f"simulated: its wheels lie up to {off:.3f} m from where `limbs` says")
+    for name in robot.own:
+        try:
+            controller = model.controller(name, "", 0.005)
+        except OperatorError as error:
+            yield Finding("missing", f"{name}: {error}")
+            continue
+        able = robot.capabilities(name)
+        sim.reset()
+        driver = Driver(sim, controller)
+        driver.settle(1.0)
+        speed = min(0.4, able.max_vx)
+        for _ in range(round(3.0 / sim.timestep)):
+            driver.step(speed)
+        begin = sim.position
+        for _ in range(round(2.0 / sim.timestep)):
+            driver.step(speed)
+        drove = float(np.linalg.norm((sim.position - begin)[:2])) / 2.0
+        words = f"{name}: told {speed} m/s it drives {drove:.2f} m/s on flat ground"
+        yield Finding("ok" if 0.7 * speed < drove < 1.3 * speed else "wrong", words)

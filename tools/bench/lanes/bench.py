@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hal.robots import describe
+from hal.robots import DEFAULT, describe
 from tools.bench.lanes.picture import draw
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, drive
@@ -52,30 +52,40 @@ def run(args: list[str]) -> Report:
 
 def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argparse.Namespace:
     """Add what benches of drives have in common and read their command line; `how`: the map unless told."""
-    parser.add_argument("--controller", default="hybrid", help="vmc, policy, hybrid, or several: vmc,hybrid")
+    parser.add_argument(
+        "--controller", default="hybrid", help="of the default robot or ROBOT/NAME, or several: vmc,hybrid"
+    )
     parser.add_argument(
         "--policy",
         default="",
         help="of the controllers that learnt: folder, file or name; else ours for hybrid, the fetched one for policy",
     )
     parser.add_argument("--map", default=how, help="prior, seen or both: prior,seen")
-    parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
     parser.add_argument(
         "--pictures", type=Path, help="folder for a picture of every trial not as it should be"
     )
     parser.add_argument("--logs", type=Path, help="folder for the log of every trial")
-    parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
-    parser.add_argument(
-        "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
-    )
+    spreads(parser)
     options = parser.parse_args(args)
-    for name, known in (("controller", set(describe().own)), ("map", {"prior", "seen"})):
-        if unknown := set(getattr(options, name).split(",")) - known:
-            parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
+    for driver in options.controller.split(","):
+        robot, _, name = driver.rpartition("/")
+        if name not in (own := describe(robot or DEFAULT).own):
+            parser.error(f"--controller: {driver} is none of {', '.join(own)}")
+    if unknown := set(options.map.split(",")) - {"prior", "seen"}:
+        parser.error(f"--map: {', '.join(sorted(unknown))} is none of prior, seen")
     for folder in (options.pictures, options.logs):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
     return options
+
+
+def spreads(parser: argparse.ArgumentParser) -> None:
+    """Add where the drives run, and where their records go."""
+    parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
+    parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
+    parser.add_argument(
+        "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
+    )
 
 
 def driven(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hal.mujoco.sim import Simulation
+from hal.robots import DEFAULT, describe
 from hal.scenes import load_scene, places
 from hal.scenes.lanes import Lane, named
 from hal.scenes.shortest import shortest
@@ -21,8 +22,6 @@ from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
 from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.raised import Raised
 
-HALF_WIDTH = 0.215
-"""Of the body [m]."""
 ARRIVED = 0.30
 """Farthest true distance [m] from the goal that counts as reached."""
 FALLEN = math.radians(60.0)
@@ -47,6 +46,7 @@ class Trial:
     seed: int
     level: int
     controller: str
+    """Of the default robot, or `ROBOT/CONTROLLER`."""
     map: str
     """`prior`: the terrain is the prior map; `seen`: the map is what the robot sees on its way."""
     policy: str = ""
@@ -61,7 +61,8 @@ class Trial:
     @property
     def key(self) -> str:
         """Name of the trial in records."""
-        key = f"{self.controller}.{self.map}.{self.goal.replace('/', '.') or self.level}.{self.seed}"
+        driver = self.controller.replace("/", "-").strip("-.")
+        key = f"{driver}.{self.map}.{self.goal.replace('/', '.') or self.level}.{self.seed}"
         return f"{key}.{self.made_of}" if self.made_of else key
 
     @property
@@ -88,8 +89,10 @@ class Trial:
 def drive(trial: Trial) -> dict[str, Any]:
     """The record of a trial: what was driven, `outcome` and `reason`, times, lengths, contacts, states on the way, and the track."""
     lane = trial.lane()
+    robot, _, controller = trial.controller.rpartition("/")
+    facts = describe(robot or DEFAULT)
     goal = lane.scene.goals[trial.goal.partition("/")[2] or "end"]
-    least = shortest(lane.walls, lane.scene.start[:2], goal[:2], HALF_WIDTH)
+    least = shortest(lane.walls, lane.scene.start[:2], goal[:2], facts.body.width / 2)
     with tempfile.TemporaryDirectory() as folder:
         prior = ""
         if trial.map == "prior":
@@ -102,7 +105,8 @@ def drive(trial: Trial) -> dict[str, Any]:
             ("recorder.profile=full", *trial.sets),  # for pictures
             scene=trial.scene,
             seed=trial.seed,
-            controller=trial.controller,
+            robot_model=robot or DEFAULT,
+            controller=controller,
             policy_dir=trial.policy or None,
             map_file=prior,
         )

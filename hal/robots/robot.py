@@ -34,6 +34,12 @@ class Body(BaseModel):
     sprung_mass: float = Field(
         gt=0.0, le=500.0, description="[kg] that the wheels push: all but wheels and shanks"
     )
+    touch_force: float = Field(
+        30.0,
+        gt=0.0,
+        le=1000.0,
+        description="[N] on the body beyond what wheels and IMU explain: it touches something",
+    )
     axle: float = Field(
         gt=0.0, le=2.0, description="[m] as it drives, wheels touch the ground before and behind base_link"
     )

@@ -70,10 +70,10 @@ class Touch(NamedTuple):
 class TouchWatch:
     """Feeds on IMU and joint samples as they come."""
 
-    def __init__(self, limbs: Limbs, sprung_mass: float) -> None:
+    def __init__(self, limbs: Limbs, sprung_mass: float, force: float) -> None:
         """sprung_mass: [kg] that the wheels push without payload; wheels and shanks get their share from the ground
-        itself."""
-        self._limbs, self._sprung = limbs, sprung_mass
+        itself. force: [N] on the body that tells a touch."""
+        self._limbs, self._sprung, self._force = limbs, sprung_mass, force
         self._accel: Array = np.array([0.0, 0.0, GRAVITY])
         """[m/s^2] mean specific force since the joint sample before."""
         self._sum, self._count = np.zeros(3), 0
@@ -110,7 +110,11 @@ class TouchWatch:
         held = -way * self._mass * self._accel[0] - back.sum()
         rough = uneven > FACE
         slow = speed is None or way * speed < SHORT * abs(vx)
-        pushed = slow and uneven < TALL and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0))
+        pushed = (
+            slow
+            and uneven < TALL
+            and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0), high=self._force)
+        )
         self._body = max(self._body + (elapsed if pushed else -elapsed), 0.0)
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]

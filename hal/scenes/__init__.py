@@ -7,6 +7,7 @@ from math import isfinite
 from pathlib import Path
 
 from hal.scenes import lanes, places, rescue
+from hal.scenes.barn import barn
 from hal.scenes.maze import maze
 from hal.scenes.meadow import meadow
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
@@ -30,10 +31,11 @@ _BUILT_IN: dict[str, Callable[[], Scene]] = {
     "rescue_elevated": rescue.elevated,
     "lanes": lambda: lanes.lane(0).scene,
     "places": lambda: places.named("places").scene,
+    "barn": lambda: barn(0),
 }
 
 
-SEEDED = ("maze", "lanes", "places")
+SEEDED = ("maze", "lanes", "places", "barn")
 """Scenes that are another one for every seed."""
 
 
@@ -53,10 +55,11 @@ def load_scene(
     up: str | None = None,
     **unknown: object,
 ) -> Scene:
-    """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj).
+    """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj, .world of the BARN challenge).
 
     `resolution` [m] and `height_range` [m], `units` and `up` say how to import a file, `start` where the robot starts on it (see
-    `hal.scenes.files.read_scene`). `seed` picks a maze or a lane; `maze:7`, `lanes:7` and `places:house,7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
+    `hal.scenes.files.read_scene`). `seed` picks a maze, a lane, a place or a world of the BARN challenge; `maze:7`, `lanes:7`,
+    `places:house,7` and `barn:7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
     """
     if unknown:
         raise SceneError(
@@ -77,9 +80,9 @@ def load_scene(
         seed = int(value)
     text = str(name)
     base, _, number = text.partition(":")
-    if base == "maze" and not Path(text).is_file():
+    if base in ("maze", "barn") and not Path(text).is_file():
         if number and not number.isdecimal():
-            raise SceneError(f"{text!r}: the seed after maze: must be a whole number")
+            raise SceneError(f"{text!r}: the seed after {base}: must be a whole number")
         seed = int(number) if number else seed
     if base in _BUILT_IN and (not number or base in SEEDED):
         if not resolution is height_range is start is units is up is None:
@@ -92,15 +95,17 @@ def load_scene(
             return places.named(text if seed is None else f"{text},{seed}").scene
         if base == "maze":
             return maze(seed=seed or 0)
+        if base == "barn":
+            return barn(seed or 0)
         if seed is not None:
-            raise SceneError(f"{base} has no seed: only {' and '.join(SEEDED)} have")
+            raise SceneError(f"{base} has no seed: only {', '.join(SEEDED)} have")
         return _BUILT_IN[base]()
     if not Path(text).suffix:
         raise SceneError(f"no scene {text!r}: use one of {', '.join(_BUILT_IN)}, or a file")
     from hal.scenes.files import read_scene  # readers are only needed for files
 
     if seed is not None:
-        raise SceneError(f"a scene from a file has no seed: only {' and '.join(SEEDED)} have")
+        raise SceneError(f"a scene from a file has no seed: only {', '.join(SEEDED)} have")
     return read_scene(
         Path(text), resolution=resolution, height_range=height_range, start=start, units=units, up=up
     )

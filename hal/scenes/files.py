@@ -11,6 +11,7 @@ from PIL import Image
 
 from hal.npzfile import DamagedFile, read_npy, read_npz
 from hal.regular import open_regular
+from hal.scenes.barn import read_world
 from hal.scenes.foreign import NODATA, read_las, read_tif, resolution_for, understood
 from hal.scenes.gridding import fill, grid, place_start
 from hal.scenes.readers import read_geometry
@@ -42,6 +43,10 @@ def read_scene(
     if resolution is not None and not resolution > 0.0:
         raise SceneError(f"resolution must be a positive number of metres, got {resolution}")
     ending, mesh, words = path.suffix.lower(), None, ""
+    if ending == ".world":
+        if not resolution is height_range is start is units is up is None:
+            raise SceneError(f"{path.name}: a world of the BARN challenge needs no options: leave them out")
+        return read_world(path)
     if ending == ".npz":
         if resolution is not None or height_range is not None:
             raise SceneError(

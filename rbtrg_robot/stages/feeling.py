@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.limbs import Limbs
+from hal.robots import Body
 from hal.safety import monitors
 from hal.safety.gate_types import MotionLimits
 from hal.safety.touch import FACE, Touch, TouchWatch
@@ -30,9 +31,9 @@ class Feeling:
     """In: IMU, joints, what is driven, the guard's limits. Out: what was touched. It decides whether the map explains
     what holds the robot."""
 
-    def __init__(self, limbs: Limbs, sprung_mass: float, length: float) -> None:
-        """sprung_mass: see `TouchWatch`; length: of the body [m]."""
-        self._watch, self._half = TouchWatch(limbs, sprung_mass), length / 2
+    def __init__(self, limbs: Limbs, body: Body) -> None:
+        self._watch = TouchWatch(limbs, body.sprung_mass, body.touch_force)
+        self._half = body.length / 2
         self._limits: MotionLimits | None = None
         self._last: tuple[Touch, int, str] | None = None
         """The last touch, when [ns] it was, and in words."""

@@ -102,7 +102,7 @@ class RobotStage:
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
-        self._feeling = Feeling(robot.limbs, robot.body.sprung_mass, robot.body.length)
+        self._feeling = Feeling(robot.limbs, robot.body)
         self._limits: dict[str, MotionLimits] = {}
         """The newest of each sender: a guard that was started anew is another one than before."""
         self._now = 0

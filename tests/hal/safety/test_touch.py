@@ -43,7 +43,7 @@ class Run:
         for k, (centre, _, yaw) in enumerate(box):
             self.simulation.place_box(k, centre, yaw)
         self.driver = Driver(self.simulation, VmcController())
-        self.watch = TouchWatch(describe().limbs, describe().body.sprung_mass)
+        self.watch = TouchWatch(describe().limbs, describe().body.sprung_mass, 30.0)
         self.touches: list[tuple[float, Touch]] = []
         self.met = np.inf
 
@@ -145,7 +145,7 @@ def test_a_face_is_climbed_where_the_map_tells_it_and_touched_where_it_does_not(
 def pushed(forces: list[float], uneven: float) -> list[Touch]:
     """What is told of forces [N] on the body, one each joint sample, while it is slower than it should be and no wheel
     pushes."""
-    watch, touches = TouchWatch(describe().limbs, describe().body.sprung_mass), []
+    watch, touches = TouchWatch(describe().limbs, describe().body.sprung_mass, 30.0), []
     for k, force in enumerate(forces):
         stamp = k * NS // 50
         watch.imu(ImuSample(stamp, np.zeros(3), np.array([-force / 14.241, 0.0, GRAVITY])))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.robots import describe
 from hal.robots.go2w import facts as go2w
 from hal.safety.gate_types import MotionLimits
 from hal.safety.touch import SPRUNG
@@ -23,7 +24,7 @@ class Pressed:
     """A robot that drives at `vx` while something pushes at its body with 100 N [wheels carry nothing that would explain it]."""
 
     def __init__(self, vx: float = 0.4, uneven: float = 0.0) -> None:
-        self.feeling = Feeling(go2w.LIMBS, 14.241, go2w.BODY_LENGTH)
+        self.feeling = Feeling(go2w.LIMBS, describe().body)
         self.feeling.guard(MotionLimits(0, *FREE, uneven_ahead=uneven, uneven_behind=uneven))
         self.vx = vx
         self.now = NS
@@ -76,4 +77,4 @@ def test_what_the_map_tells_is_no_touch_and_may_be_climbed() -> None:
     assert wall.feeling.words(wall.now) == ""
     assert wall.feeling.may_climb(0.3)
     assert not Pressed().feeling.may_climb(0.3)
-    assert Feeling(go2w.LIMBS, 14.241, go2w.BODY_LENGTH).may_climb(0.3), "without a guard nobody tells"
+    assert Feeling(go2w.LIMBS, describe().body).may_climb(0.3), "without a guard nobody tells"

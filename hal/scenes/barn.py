@@ -1,0 +1,130 @@
+"""Worlds of the BARN navigation challenge: a field of cylinders between two walls that a robot crosses in ten metres.
+
+Made by the published rules (Perille, Truong, Xiao and Stone 2020, "Benchmarking metric ground navigation"): a cellular
+automaton fills a grid of 30 x 30 cells of 0.15 m, each filled one is a cylinder of 0.075 m radius, and only worlds count whose
+free cells, with the robot's two cells of clearance, join both ends. Or read from the challenge's own `world_N.world` files.
+The world lies along the x axis: start at (-2, 0), goal at (8, 0), the field from 0 to 4.5.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from hal.scenes.canvas import Canvas
+from hal.scenes.scene import Goal, Scene, SceneError
+
+CELLS, CELL = 30, 0.15
+"""Of the grid, and their size [m]."""
+RADIUS = 0.075
+"""Of a cylinder [m]."""
+HEIGHT = 1.0
+"""Of cylinders and walls [m]."""
+CLEARANCE = 2
+"""Cells by which obstacles are grown for the robot of the challenge."""
+FILLS, SMOOTHINGS = (0.15, 0.20, 0.25, 0.30), (2, 3, 4)
+"""Share that is filled at random, and rounds of smoothing."""
+BORN, DIES = 5, 1
+"""A free cell with at least so many filled ones around it is filled, a filled one with at most so many is freed."""
+START, GOAL = (-2.0, 0.0, 0.0), (8.0, 0.0, None)
+HALF = 0.5 * CELLS * CELL
+RESOLUTION = 0.05
+TRIES = 1000
+
+
+def barn(seed: int = 0) -> Scene:
+    """The world of a seed; every twelfth has the same fill and smoothing."""
+    random = np.random.default_rng(seed)
+    fill, rounds = FILLS[seed % len(FILLS)], SMOOTHINGS[seed // len(FILLS) % len(SMOOTHINGS)]
+    for _ in range(TRIES):
+        grid = random.random((CELLS, CELLS)) < fill
+        for _ in range(rounds):
+            around = (
+                ndimage.convolve(grid.astype(np.int64), np.ones((3, 3), np.int64), mode="constant") - grid
+            )
+            grid = np.where(grid, around > DIES, around >= BORN)
+        if grid.any() and math.isfinite(shortest_way(grid)):
+            y, x = np.argwhere(grid).T
+            places = np.column_stack([(x + 0.5) * CELL, (y + 0.5) * CELL - HALF])
+            return scene_of(places, f"seed {seed}: {fill:.0%} filled, smoothed {rounds} times")
+    raise SceneError(f"barn:{seed}: none of {TRIES} worlds can be crossed")
+
+
+def read_world(file: Path) -> Scene:
+    """One `world_N.world` of the challenge. Raises SceneError."""
+    try:
+        root = Xml.parse(file).getroot()
+    except (OSError, Xml.ParseError) as error:
+        raise SceneError(f"cannot read {file}: {error}; name a world of the BARN challenge") from error
+    places = []
+    for model in root.iter("model"):
+        if "cylinder" in model.get("name", "") and (pose := model.find("pose")) is not None and pose.text:
+            x, y = (float(word) for word in pose.text.split()[:2])
+            # There the robot starts at (-2.25, 3) and looks along y.
+            places.append((y - 5.0, -2.25 - x))
+    if not places:
+        raise SceneError(f"{file}: holds no cylinders: name a world of the BARN challenge")
+    return scene_of(np.array(places), file.name)
+
+
+def scene_of(places: NDArray[np.float64], description: str) -> Scene:
+    """The world with cylinders at x, y (n, 2) [m]."""
+    canvas = Canvas((START[0] - 1.5, GOAL[0] + 1.5, -HALF - 0.2, HALF + 0.2), RESOLUTION)
+    for x, y in places:
+        canvas.raise_to(np.hypot(canvas.x - x, canvas.y - y) <= RADIUS, HEIGHT)
+    canvas.raise_to(np.abs(canvas.y) > HALF, HEIGHT)
+    canvas.border(0.1, HEIGHT)
+    goals: dict[str, Goal] = {"end": GOAL}
+    return Scene(
+        name="barn",
+        height=canvas.array(),
+        resolution=canvas.resolution,
+        origin=canvas.origin,
+        start=START,
+        goals=goals,
+        description=f"world of the BARN challenge, {description}",
+    )
+
+
+def shortest_way(grid: NDArray[np.bool_]) -> float:
+    """Shortest way [m] from start to goal over the cells (y, x) that the robot of the challenge may be in; infinite where
+    there is none."""
+    free = ~ndimage.binary_dilation(grid, np.ones((2 * CLEARANCE + 1,) * 2, bool))
+    free[:CLEARANCE] = free[-CLEARANCE:] = False  # the walls
+    number = np.full(free.shape, -1)
+    number[free] = np.arange(np.count_nonzero(free))
+    rows, cols, lengths = [], [], []
+    for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        a = number[: CELLS - dy, max(0, -dx) : CELLS - max(0, dx)]
+        b = number[dy:, max(0, dx) : CELLS + min(0, dx)]
+        joined = (a >= 0) & (b >= 0)
+        rows.append(a[joined])
+        cols.append(b[joined])
+        lengths.append(np.full(np.count_nonzero(joined), CELL * math.hypot(dx, dy)))
+    count = int(free.sum())
+    if not (free[:, 0].any() and free[:, -1].any()):
+        return math.inf
+    graph = csr_matrix(
+        (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(cols))), (count, count)
+    )
+    y = (np.arange(CELLS) + 0.5) * CELL - HALF
+    into, out = number[free[:, 0], 0], number[free[:, -1], -1]
+    begin = np.hypot(0.5 * CELL - START[0], y[free[:, 0]] - START[1])
+    end = np.hypot(GOAL[0] - (CELLS - 0.5) * CELL, y[free[:, -1]] - GOAL[1])
+    between = dijkstra(graph, directed=False, indices=into)[:, out]
+    return float((begin[:, None] + between + end).min())
+
+
+def grid_of(scene: Scene) -> NDArray[np.bool_]:
+    """(30, 30) cells (y, x) of a world that hold a cylinder's middle or stand in it."""
+    y, x = np.meshgrid(*(2 * [np.arange(CELLS)]), indexing="ij")
+    col = np.round(((x + 0.5) * CELL - scene.origin[0]) / scene.resolution).astype(int)
+    row = np.round(((y + 0.5) * CELL - HALF - scene.origin[1]) / scene.resolution).astype(int)
+    return np.asarray(scene.height[row, col] > 0.5 * HEIGHT)

@@ -16,6 +16,7 @@ import numpy as np
 
 from hal.robots import DEFAULT, describe
 from hal.scenes import load_scene
+from hal.scenes.barn import GOAL, START, grid_of, shortest_way
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep

@@ -29,6 +29,7 @@ ROOMS: dict[str, str] = {
     "hal.robots.go2w": "hal hal.robots hal.postures hal.mujoco.robot",
     "hal.robots.jackal": "hal hal.robots hal.mujoco.robot",
     "hal.mujoco": "hal hal.lidar hal.robots hal.scenes hal.postures hal.mujoco.robot",
+    "hal.robots.check": "hal hal.envelope hal.robots hal.mujoco",
     "hal.mujoco.view": "hal hal.scenes hal.robots hal.mujoco",
     "hal.unitree": "hal hal.lidar hal.robots hal.robots.go2w hal.postures hal.safety.monitors hal.safety.slope",
     "mapping": "hal",  # which says where numba keeps kernels
@@ -68,7 +69,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.hosts",
     "rbtrg_robot.console": "hal hal.safety mapping mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.access "
     "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
-    "rbtrg_robot.cli": "hal hal.robots hal.mujoco.view hal.scenes hal.unitree mapping.elevation planning.baselines rbtrg_robot "
+    "rbtrg_robot.cli": "hal hal.robots.check hal.robots hal.mujoco.view hal.scenes hal.unitree mapping.elevation planning.baselines rbtrg_robot "
     "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts rbtrg_robot.process "
     "rbtrg_robot.console",
 }

@@ -248,7 +248,11 @@ class Fence:
         it."""
         most, by = rate, None
         for polygon in self.polygons:
-            free = polygon.free_turn(pose, rate * horizon, size) / horizon if all(map(math.isfinite, pose)) else 0.0
+            free = (
+                polygon.free_turn(pose, rate * horizon, size) / horizon
+                if all(map(math.isfinite, pose))
+                else 0.0
+            )
             if abs(free) < abs(most):
                 most, by = free, polygon
         return most, by

@@ -163,7 +163,11 @@ class WheelsAlone:
         self.counters: Counter[str] = Counter()
         self.calibration = Calibration(mounts, params.max_time_offset)
         self._inbox = Inbox(
-            self._params, self.counters, self._follow_clock, dict.fromkeys(mounts, 0), OwnFilter(own, mounts, size)
+            self._params,
+            self.counters,
+            self._follow_clock,
+            dict.fromkeys(mounts, 0),
+            OwnFilter(own, mounts, size),
         )
         self._filter = InertialFilter(params.inertial)
         self._noise = np.array(params.inertial.wheel_noise)

@@ -76,7 +76,6 @@ def body_boxes(length: float, width: float) -> tuple[OwnPart, OwnPart]:
     )
 
 
-
 class OwnFilter:
     """Takes the returns from the robot itself out of sweeps."""
 

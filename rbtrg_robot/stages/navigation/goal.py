@@ -71,7 +71,8 @@ class GoalArea:
     def of(cls, config: StackConfig, fence: Fence | None = None) -> GoalArea:
         """Those of a stack's configuration, or of a fence for its robot."""
         return cls(
-            config.fence() if fence is None else fence, math.hypot(config.gate.fence_margin, config.facts.body.width / 2)
+            config.fence() if fence is None else fence,
+            math.hypot(config.gate.fence_margin, config.facts.body.width / 2),
         )
 
     def beside(self, drawn: Fence) -> GoalArea:

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.robots.go2w import facts as go2w
 from hal.types import NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM
 from hal.unitree import api, cloud, layout
 

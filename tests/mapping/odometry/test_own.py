@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.lidar.caster import NumbaCaster, OrientedBox, Surface
 from hal.lidar.plants import Clump
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS
+from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import quaternion, rotation_rpy
 from hal.safety.monitors import OWN_PARTS, taken_out
 from hal.types import NS

@@ -199,7 +199,9 @@ class ContractSuite:
             assert np.isfinite(xyz).all()
             assert p["time"].min() >= 0.0
             assert p["time"].max() <= 0.2
-            near = np.linalg.norm(xyz, axis=1) < 0.5 * rig.robot.body.length - 0.1
+            near = np.linalg.norm(xyz, axis=1) < max(
+                min(0.5 * rig.robot.body.length, 0.8 * rig.robot.height) - 0.1, 0.15
+            )
             assert near.mean() < 0.01
 
     def test_drives_forward_and_stops_again(self, rig: Rig) -> None:

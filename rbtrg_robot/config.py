@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Iterable
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -243,7 +244,8 @@ class StackConfig(BaseModel):
     @model_validator(mode="after")
     def _of_the_robot(self) -> StackConfig:
         robot = self.facts
-        if self.backend not in robot.backends and self.backend in ("sim", "unitree"):
+        others = {point.name for point in entry_points(group="rbtrg.backends")}
+        if ":" not in self.backend and self.backend not in {*robot.backends, *others}:
             raise ValueError(
                 f"backend: {robot.title} is driven by {', '.join(robot.backends)}, not by {self.backend}"
             )

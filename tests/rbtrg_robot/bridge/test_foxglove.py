@@ -18,6 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from hal.robots import describe, urdf
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -183,6 +184,7 @@ def test_a_client_gets_the_bytes_of_the_bus_and_can_read_their_types(door: Door)
 def test_the_app_sees_the_legs_move(door: Door) -> None:
     client = door.enter()
     client.subscribe(1, t.TF)
+    door.bus.publish(t.DESCRIPTION, msg.String(data=urdf(describe())), 1)
     state = msg.JointState(header=header(NS, "base_link"), name=["FL_hip"], position=array([0.4], "float64"))
     door.bus.publish(t.TF, msg.TFMessage(), 1)
     end = time.monotonic() + LIMIT

@@ -11,7 +11,6 @@ import pytest
 from hal.robots import describe
 from hal.robots.go2w import facts as go2w
 from hal.safety.gate_types import MotionLimits
-from hal.safety.touch import SPRUNG
 from hal.types import NS, ImuSample, JointSample, VelocityCommand
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.feeling import HOLD, TOLD, Feeling
@@ -33,7 +32,7 @@ class Pressed:
         out: list[Any] = []
         for _ in range(5):
             self.now += NS // 50
-            accel = np.array([-math.copysign(100.0, self.vx) / SPRUNG, 0.0, 9.81])
+            accel = np.array([-math.copysign(100.0, self.vx) / describe().body.sprung_mass, 0.0, 9.81])
             self.feeling.imu(ImuSample(self.now, np.zeros(3), accel))
             joints = JointSample(self.now, go2w.STAND.copy(), np.zeros(16), np.zeros(16))
             out += self.feeling.joints(joints, VelocityCommand(self.now, self.vx), lambda: place)

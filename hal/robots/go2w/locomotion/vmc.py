@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hal.lowlevel import LowCommand, LowState
+from hal.robots.go2w.facts import wheel_centres
 from hal.robots.go2w.locomotion.climb import DRIVE
 from hal.robots.go2w.locomotion.memory import MEMORY
 from hal.robots.go2w.locomotion.params import RECORD, VmcParams
@@ -108,4 +109,5 @@ def warm_up() -> None:
     )
     state.q[1:12:3] = 0.8
     state.q[2:12:3] = -1.5
+    wheel_centres(state.q)  # the hybrid controller asks for them by itself
     VmcController().step(state, VelocityCommand(0), PostureCommand(0))

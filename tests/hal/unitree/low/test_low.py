@@ -25,7 +25,7 @@ from hal.unitree.link import LOW_STATE
 from hal.unitree.low.limits import SOFT_START, STIFFEST, Limits
 from hal.unitree.low.loop import STATE_SILENT, Order, Report
 from hal.unitree.low.wire import L2, B, Packer, low_state
-from tests.hal.contract_suite import ContractSuite, Rig, wheel_travel
+from tests.hal.contract_suite import ContractSuite, Rig
 from tests.hal.unitree.low.robot import LOW, LowWorld
 from tests.hal.unitree.test_wire import _flat
 
@@ -71,7 +71,7 @@ class TestLow(ContractSuite):
 
         refused()
         rig.ready()
-        assert abs(wheel_travel(rig.run(1.0))) < 0.02, "what was asked for before does not count"
+        assert abs(rig.travelled(rig.run(1.0))) < 0.02, "what was asked for before does not count"
         rig.backend.close()
         refused()
 

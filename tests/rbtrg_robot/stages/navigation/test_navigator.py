@@ -1146,7 +1146,7 @@ def test_a_robot_is_not_moved_out_where_the_guard_holds_it(world: World) -> None
     ],
 )
 def test_the_trail_tells_how_far_the_ground_was_stood_on(pose: Pose2, reach: float) -> None:
-    trail = Trail()
+    trail = Trail(0.70, 0.43)
     assert trail.reach(pose, 0.6) == 0.0
     for i in range(101):
         trail.add((0.01 * i, 0.0, 0.0))

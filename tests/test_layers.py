@@ -21,7 +21,7 @@ ROOMS: dict[str, str] = {
     "hal": "hal.safety.monitors",
     "hal.safety": "hal hal.safety.monitors hal.safety.slope",
     "hal.lidar": "hal",
-    "hal.robots": "hal hal.lidar",
+    "hal.robots": "hal hal.mujoco.robot hal.postures hal.lidar",
     "hal.envelope": "hal hal.robots",
     "hal.scenes": "hal hal.lidar hal.robots",
     "hal.postures": "hal",

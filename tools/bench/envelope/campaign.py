@@ -134,7 +134,10 @@ class Tally:
         worth = (bound - mean) * self.usual
         if (mean <= MAX_RISK).any():
             worth *= mean <= MAX_RISK
-        flat = (worth + ELSEWHERE * worth.max() * (self.parts.sum(-1) > 0.0)).ravel()
+        some = self.parts.sum(-1) > 0.0
+        flat = (worth + ELSEWHERE * worth.max() * some).ravel()
+        if not flat.sum() > 0.0:  # the bound is the mean everywhere
+            flat = some.ravel().astype(np.float64)
         flat /= flat.sum()
         return tuple(int(k) for k in np.unravel_index(rng.choice(flat.size, p=flat), worth.shape))
 

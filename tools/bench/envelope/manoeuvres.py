@@ -169,15 +169,15 @@ def attempt(controller: Locomotion, trial: Trial, robot: Simulated | None = None
     driver.settle(0.4)
     line = _Line(t)
     # The middle of its wheels: the trunk sways by 0.1 m where a controller shifts its weight to lift a wheel.
-    wheels = [sim.model.body(f"{leg}_wheel").id for leg in LEGS]
-    x, y, _ = sim.data.xpos[wheels].mean(0).tolist()
+    wheels = [sim.model.geom(f"{leg}_wheel").id for leg in LEGS]
+    x, y, _ = sim.data.geom_xpos[wheels].mean(0).tolist()
     line.begin(x, y, sim.yaw)
     best, moved = 0.0, sim.time
     clear = sim.time
     normal = np.array(t.normal)
     speed = -t.speed if t.way == "back" else t.speed
     while True:
-        x, y, _ = sim.data.xpos[wheels].mean(0).tolist()
+        x, y, _ = sim.data.geom_xpos[wheels].mean(0).tolist()
         wz, aside, off = line.follow(x, y, sim.yaw)
         units = max(sum(mark <= line.progress for mark in t.marks), 1)
         up = sim.rotation[:, 2]

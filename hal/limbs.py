@@ -111,29 +111,6 @@ def wheel_jacobians(limbs: Limbs, q: Array) -> Array:
     return out
 
 
-def leg_angles(limbs: Limbs, centres: Array) -> Array:
-    """Inverse of `wheel_centres`: joint angles that put the centres there, knees backward.
-
-    `centres`: (4, 3) [m] in base_link. Returns (16,) [rad], wheels 0. Out of reach: the nearest angles.
-    """
-    out = np.zeros(len(MOTORS))
-    side = limbs.thigh_y + limbs.tread_y
-    for leg in range(4):
-        x = centres[leg, 0] - limbs.hip_x * SX[leg]
-        y = centres[leg, 1] - limbs.hip_y * SY[leg]
-        z = centres[leg, 2] - limbs.hip_z
-        down = math.sqrt(max(y * y + z * z - side * side, 1e-6))
-        hip = math.atan2(z, y) - math.atan2(-down, side * SY[leg])
-        hip = math.remainder(hip, 2.0 * math.pi)
-        cosine = (x * x + down * down - limbs.thigh**2 - limbs.calf**2) / (2.0 * limbs.thigh * limbs.calf)
-        calf = -math.acos(min(max(cosine, -1.0), 1.0))
-        thigh = math.atan2(-x, down) - math.atan2(
-            limbs.calf * math.sin(calf), limbs.thigh + limbs.calf * math.cos(calf)
-        )
-        out[3 * leg : 3 * leg + 3] = hip, thigh, calf
-    return out
-
-
 def stand_height(limbs: Limbs, q: Array) -> float:
     """Height [m] of base_link above level ground with the joints at `q` (16,) and the trunk level: mean of the four limbs."""
     return float(limbs.radius - wheel_centres(limbs, q)[:, 2].mean())

@@ -1,1 +1,0 @@
-"""The Unitree Go2, on feet."""

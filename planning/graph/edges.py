@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.edge_price import TREAD, edge_price, room_for, wheel_track
+from planning.graph.edge_price import edge_price, room_for, wheel_track
 from planning.graph.flags import ASSUMED, FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
@@ -92,7 +92,7 @@ def corridor(
     min_coverage,
     sums,
     stood,
-    stairs,
+    prices,
 ):
     """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk:
     for the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`),
@@ -102,8 +102,8 @@ def corridor(
     hole for more than `max_gap` (a crack is driven across, not along), every cross-section seen to at least
     `min_coverage`, and nowhere steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map
     is not seen. `sums` is scratch, (sections, COLUMNS) float64. `stood`: the robot stands at a along u, so the ground
-    under it there is not too steep, whatever the map says. `stairs`: they are no slope; what their risers rise by is
-    left out, and `edge_price` tells whether they are a way.
+    under it there is not too steep, whatever the map says. With measured `prices` stairs are no slope: what their
+    risers rise by is left out, and `edge_price` tells whether they are a way.
     """
     rows, cols = height.shape
     dx = xb - xa
@@ -176,7 +176,9 @@ def corridor(
     under = int(2.0 * front / SECTION) if stood else 0
     limit = max_tan * SLOPE_TOLERANCE
     if not _not_steep(sums, n, limit, 4.0 * strip, under):
-        if not stairs or not _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, sums):
+        if not prices.measured or not _risers(
+            height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, prices.tread, sums
+        ):
             return -1.0
         if not _not_steep(sums, n, limit, 4.0 * strip, under):
             return -1.0
@@ -208,12 +210,12 @@ def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
 
 
 @njit(cache=True)
-def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, sums):
+def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, tread, sums):
     """Note in each section how far [m] the risers of stairs lift the robot, by the tracks of its left and its right
     wheels; whether there are any."""
     crossed, gaps = np.empty((room_for(span), 4)), np.empty((room_for(span), 2))
     some = False
-    for aside in (TREAD, -TREAD):
+    for aside in (tread, -tread):
         xw, yw = xa - front * ux - aside * uy, ya - front * uy + aside * ux
         found = wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, span, crossed, gaps)[0]
         for k in range(found):
@@ -280,7 +282,7 @@ def move(
     prices [m] come into `price` (2, 2), see `edge_price`."""
     more = corridor(
         height, flags, faces, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, sums, stood,
-        prices.measured,
+        prices,
     )  # fmt: skip
     if more < 0.0:
         return F32(-1.0)

@@ -32,6 +32,8 @@ from tools.bench.report import Report
 
 OBSERVER_MAY = {"/robot/stop"}
 OPERATOR_MAY = OBSERVER_MAY | {
+    "/areas/request",
+    "/camera/front/photo/request",
     "/robot/command",
     "/goal/request",
     "/goal_pose",

@@ -76,6 +76,8 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
         "/initialpose",
         "/elevation_map/prior",
         "/track/path",
+        "/areas",
+        "/areas/request",
     }
 
 

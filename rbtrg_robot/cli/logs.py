@@ -253,7 +253,10 @@ def log_photos(
         Path | None, typer.Option(help="Folder for them; default: `photos` beside the log.")
     ] = None,
 ) -> None:
-    """Write the photos of a run as JPEG files; their names are the times of exposure [ns]."""
+    """Write the photos of a run as JPEG files.
+
+    Their names are the times of exposure [ns].
+    """
     from rbtrg_robot.log.photos import save
     from rbtrg_robot.log.read import LogError
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 DETACH_LIMIT = 1800.0
 """[s] for `--detach` to be ready: a first start compiles the kernels."""
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 DOWN_LIMIT = 8.0
 LEFT_LIMIT = 5.0
 """[s] for the others once the supervisor was killed, and once they were."""
@@ -234,8 +235,10 @@ def _detach() -> None:
 
     arguments = [a for a in sys.argv[1:] if a != "--detach"]
     output = run_dir() / f"up-{os.getpid()}.log"
-    for name in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(name, lambda number, _frame: sys.exit(128 + number))
+    ended: list[int] = []
+    # Whoever ends this command while the stack begins would leave it without a parent: that waits until it has begun.
+    for name in ENDS:
+        signal.signal(name, lambda number, _frame: ended.append(number))
     with output.open("wb") as file:
         child = subprocess.Popen(
             [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
@@ -246,6 +249,10 @@ def _detach() -> None:
         )
     ready = False
     try:
+        for name in ENDS:
+            signal.signal(name, lambda number, _frame: sys.exit(128 + number))
+        if ended:
+            sys.exit(128 + ended[0])
         ready = _wait_ready(child, output)
     finally:
         if not ready:  # also where somebody ends this command

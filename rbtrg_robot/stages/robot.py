@@ -30,6 +30,7 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
+from mapping.odometry.health import Health
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.areas import fence_of
@@ -71,6 +72,7 @@ class RobotStage:
         t.ROBOT_COMMAND,
         t.ROBOT_STOP,
         t.POSE,
+        t.ODOM_HEALTH,
         t.TF_STATIC,
         t.MOTION_LIMITS,
         t.AREAS,
@@ -102,6 +104,8 @@ class RobotStage:
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
+        self._astray = False
+        """Odometry says that it is lost: its velocity tells nothing, the wheels and the gyro do."""
         self._feeling = Feeling(robot.limbs, robot.body)
         self._limits: dict[str, MotionLimits] = {}
         """The newest of each sender: a guard that was started anew is another one than before."""
@@ -165,6 +169,8 @@ class RobotStage:
                 self._commands.tilt(TELEOP, message, sender, self._now)
         elif t.POSE.carried(message, topic):
             self._pose = message
+        elif t.ODOM_HEALTH.carried(message, topic):
+            self._astray = message.health == Health.LOST
         elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
         elif t.MOTION_LIMITS.carried(message, topic):
@@ -252,7 +258,8 @@ class RobotStage:
         velocity = pose = None
         if (fresh_pose := self._fresh) is not None:
             twist = fresh_pose.twist.twist
-            velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
+            if not self._astray:
+                velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
             place = fresh_pose.pose.pose
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:

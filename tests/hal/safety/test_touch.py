@@ -188,9 +188,9 @@ def test_a_slope_is_even_and_a_step_before_the_wheels_is_not(way: float, yaw: fl
 def test_stairs_explain_what_pushes_at_the_body_and_one_kerb_does_not(riser: float, tread: float) -> None:
     for x in np.arange(0.0, tread, 0.04):
         stairs = around(lambda u, _, x=x: riser * np.floor((u + x) / tread))
-        assert min(uneven(stairs, (0.0, 0.0, 0.0))) > TALL
+        assert min(uneven(stairs, (0.0, 0.0, 0.0), BODY)) > TALL
         kerb = around(lambda u, _, x=x: 0.19 * (u > x - 0.1))
-        assert max(uneven(kerb, (0.0, 0.0, 0.0))) < TALL
+        assert max(uneven(kerb, (0.0, 0.0, 0.0), BODY)) < TALL
 
 
 def test_noise_of_a_cell_and_what_was_touched_explain_nothing() -> None:

@@ -325,6 +325,7 @@ def test_a_stop_is_told_once_released_here_and_the_goal_goes_on(
     soon(page, lambda: len(robot.goals) == 2)
     assert (robot.goals[1].x, robot.goals[1].y, robot.goals[1].has_yaw) == (4.5, 0.5, False)
     page.click("nav [data-view=events]")
+    until(page, "/^\\S+ goal/.test(document.querySelector('#event-list li')?.innerText)")
     said = page.locator("#event-list li").all_inner_texts()[:4]
     assert [words.split(" ", 1)[1].split(" ", 1)[0] for words in said] == [
         "goal",

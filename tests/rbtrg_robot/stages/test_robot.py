@@ -363,3 +363,24 @@ def test_competing_limits_count_by_their_minimum_and_go_when_they_are_old(rig: R
     assert rig.speed == pytest.approx(0.1)
     rig.run(1.0)  # both are silent; those of the rig go on
     assert rig.speed == pytest.approx(0.3)
+
+
+def test_a_velocity_of_an_odometry_that_is_lost_is_no_motion_and_the_wheels_still_are() -> None:
+    """A robot that was thrown over and got up: its odometry integrates nonsense until a scan fits again."""
+    rig = Rig()
+    rig.tracker = None
+
+    def odometry(health: str) -> None:
+        for _ in range(150):
+            pose = msg.Odometry(header=header(rig.world.now, "odom"))
+            pose.twist.twist.linear.x = 5.8
+            rig.stage.on(t.POSE, pose)
+            rig.stage.on(
+                t.ODOM_HEALTH, msg.OdometryHealth(header=header(rig.world.now, "odom"), health=health)
+            )
+            rig.run(0.02)
+
+    odometry("lost")
+    assert rig.state.estop_cause == ""
+    odometry("good")
+    assert "it moves by 5.80 m/s" in rig.state.estop_cause

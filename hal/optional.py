@@ -5,7 +5,7 @@ from __future__ import annotations
 from hal.errors import one_line
 
 INSTALL_SIMULATOR = "uv sync, or pip install 'rbtrg-robot[sim]'"
-INSTALL_DDS = "pip install 'rbtrg-robot[unitree]' (on aarch64 see docs/deployment.md first)"
+INSTALL_DDS = "pip install 'rbtrg-robot[unitree]' (on aarch64 see docs/operate/deployment.md first)"
 
 
 def open3d_hint(error: Exception) -> str:

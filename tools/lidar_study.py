@@ -1,6 +1,6 @@
 """Which LiDAR gives the best map ahead of a Go2-W? Odometry and elevation map on synthetic runs, compared with the truth.
 
-    python -m tools.lidar_study [--seconds 30] [--png docs/lidar.png]
+    python -m tools.lidar_study [--seconds 30] [--png docs/images/lidar.png]
 
 For every LiDAR the robot drives down a corridor it has not seen, once with a level trunk and once pitching by +-10 deg.
 Twice a second the strip it will drive over (0.4 to 4 m ahead of base_link, 0.8 m wide) is read from the map as the
@@ -202,7 +202,7 @@ def main() -> None:
     """Run the study and draw the figure."""
     parser = argparse.ArgumentParser(prog="python -m tools.lidar_study")
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--png", default="docs/lidar.png")
+    parser.add_argument("--png", default="docs/images/lidar.png")
     options = parser.parse_args()
     scene = corridor(0.45 * options.seconds + 6.0, seed=3)
     scores: dict[str, dict[str, Score]] = {}

@@ -1,4 +1,4 @@
-"""Write the table of monitors as a page: `python -m tools.monitors > docs/monitors.md`. A test compares them."""
+"""Write the table of monitors as a page: `python -m tools.monitors > docs/operate/monitors.md`. A test compares them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hal.safety.monitors import MONITORS, Monitor
 HEAD = """# Monitors
 
 The checks of inputs that stand in one table. This page is written by `python -m tools.monitors` from
-[hal/safety/monitors.py](../hal/safety/monitors.py). [safety.md](safety.md) tells the hazards, and the checks that are not in it. `python -m tools.bench faults --without MONITOR` shows what each one is good for.
+[hal/safety/monitors.py](../../hal/safety/monitors.py). [safety.md](safety.md) tells the hazards, and the checks that are not in it. `python -m tools.bench faults --without MONITOR` shows what each one is good for.
 
 Consequences, from the mildest on: *tell* (`status` says it), *degrade* (the input is not used), *hold* (zero velocity while it lasts),
 *latch* (zero velocity until `resume`), *lost* (the pose is not known, the goal ends), *refuse* (the message, the file or the start).

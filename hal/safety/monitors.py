@@ -2,8 +2,8 @@
 reads.
 
 The code that judges asks the row (`outside`, `tell`) and spells no limit and no sentence of its own. Checks that are no
-rows yet, such as the gate's timeouts, tilt, fence and stop zone, stand in the code and in `docs/safety.md`.
-`docs/monitors.md` is this table as a page; the health of processes and `tools.bench faults` read it. A limit that an
+rows yet, such as the gate's timeouts, tilt, fence and stop zone, stand in the code and in `docs/operate/safety.md`.
+`docs/operate/monitors.md` is this table as a page; the health of processes and `tools.bench faults` read it. A limit that an
 operator may set stands in the configuration, and the row names its field.
 """
 
@@ -509,7 +509,7 @@ BLIND_HANDS = Monitor(
     consequence=Consequence.HOLD,
     judge="robot",
     words="the stamp is {stamp}, none that the robot told",
-    remedy="set header.stamp to the newest stamp of the robot that was seen, for example of /robot/state (docs/ros.md)",
+    remedy="set header.stamp to the newest stamp of the robot that was seen, for example of /robot/state (docs/operate/ros.md)",
     against="/robot/state",
     test="rbtrg_robot/stages/test_robot.py",
 )

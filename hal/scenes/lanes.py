@@ -6,7 +6,7 @@ a dead end (`fork`). Forty seeds in a row hold every layout with every kind of e
 controller's envelope, level 4 for all of it. In level 5 one element of the way is beyond what the controller's capabilities allow:
 such a lane must be refused.
 
-docs/results.md names the first seeds that nobody has driven: they are neither run nor drawn nor looked at before a result is taken, and no test
+docs/measurements/results.md names the first seeds that nobody has driven: they are neither run nor drawn nor looked at before a result is taken, and no test
 uses seeds from 200 on.
 """
 

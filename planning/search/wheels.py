@@ -14,7 +14,7 @@ from planning.graph.params import GraphParams
 
 TURN_FACE = 0.09
 """[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar
-(`docs/simulated_robot.md`); 3 cm are the noise of the map."""
+(`docs/design/robot.md`); 3 cm are the noise of the map."""
 
 
 def wheels_turn(around: Surroundings, pose: Pose, turn: float, body: Body, params: GraphParams) -> float:

@@ -84,7 +84,7 @@ def lies_open(folder: Path) -> str:
         return ""
     return (
         f"{base / AUTHORITY / KEY} lies open beside the robot's key: whoever reads it lets anybody in. "
-        "Move it to another computer, or encrypt it (docs/security.md)"
+        "Move it to another computer, or encrypt it (docs/operate/security.md)"
     )
 
 

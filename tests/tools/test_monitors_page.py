@@ -5,6 +5,6 @@ from tools.monitors import page
 
 
 def test_the_page_is_what_the_table_says() -> None:
-    assert (ROOT / "docs" / "monitors.md").read_text() == page(), (
-        "python -m tools.monitors > docs/monitors.md"
+    assert (ROOT / "docs" / "operate" / "monitors.md").read_text() == page(), (
+        "python -m tools.monitors > docs/operate/monitors.md"
     )

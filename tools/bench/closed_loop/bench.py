@@ -1,7 +1,7 @@
 """The paper's closed-loop study: every method's routes driven with the true pose on four rescue scenes.
 
 `python -m tools.bench closed_loop --out DIR --policy DIR` writes `routes.jsonl` and `trials.jsonl` (one line each as they come; what
-stands there is not computed again), then `tables.md` and pictures. `docs/evaluation.md` has the protocol and the results.
+stands there is not computed again), then `tables.md` and pictures. `docs/measurements/evaluation.md` has the protocol and the results.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The protocol of the closed-loop study: everything that was fixed before a result was seen. `docs/evaluation.md` gives the reasons."""
+"""The protocol of the closed-loop study: everything that was fixed before a result was seen. `docs/measurements/evaluation.md` gives the reasons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planning.tracking import TrackerConfig
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
 QUERIES = 10
-"""Start-goal pairs per scene: those of the results in `docs/evaluation.md`."""
+"""Start-goal pairs per scene: those of the results in `docs/measurements/evaluation.md`."""
 MOST_QUERIES = 40
 """Pairs that each scene has, for studies that resolve smaller differences."""
 SHARED = ("native", "edge-only", "mean-only", "full", "refined")

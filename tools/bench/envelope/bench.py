@@ -6,7 +6,7 @@
 
     python -m tools.bench envelope --controller sport --write
 
-With `--write` it counts failures of motions (docs/envelope.md) and adds the trials to the controller's file.
+With `--write` it counts failures of motions (docs/design/envelope.md) and adds the trials to the controller's file.
 Nobody measured the vendor's service (`sport`): its file is made from that of `ASSUMED_FROM`, and says so.
 
 A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at

@@ -3,7 +3,8 @@
 import os
 import sys
 
-# A kept kernel counts only while everything it was compiled from is the same, see `hal/kernel_cache.py`. Numba's own classes are for notebooks.
+# A kept kernel counts only while everything it was compiled from is the same, see `hal/kernel_cache.py`. Numba's own
+# classes are for notebooks.
 os.environ.setdefault(
     "NUMBA_CACHE_LOCATOR_CLASSES",
     "hal.kernel_cache.UserProvided,hal.kernel_cache.InTree,hal.kernel_cache.UserWide,IPythonCacheLocator,ZipCacheLocator",

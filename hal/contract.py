@@ -23,9 +23,9 @@ What a request does depends on the phase, in every backend alike (`refusal`, `fu
 | STOP | every phase | | zero velocity at once; stopped, where it stands | |
 | RESUME | every phase | | ready, where it stands | |
 
-A fault is left by RECOVER or DAMP alone, and shows again where its reason is still there. A damped robot may lie as it likes:
-falling over is no fault then. Lying, a latched STOP is not a phase of its own: the robot is sitting or damped, and stays so.
-"""
+A fault is left by RECOVER or DAMP alone, and shows again where its reason is still there. A damped robot may lie as
+it likes: falling over is no fault then. Lying, a latched STOP is not a phase of its own: the robot is sitting or
+damped, and stays so."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ class Backend(Protocol):
         """Reach the robot and start its sensors. Raises BackendError. Bounded in time."""
 
     def read(self, now: int) -> list[Sample]:
-        """All samples delivered by `now` [ns, source clock] since the last call, each kind in stamp order. Never blocks.
+        """All samples delivered by `now` [ns, source clock] since the last call, each kind in stamp order. Never
+        blocks.
 
-        No stamp is later than `now`. A simulator advances its physics to `now`; hardware drains its queues. Nothing before
-        `connect` and after `close`.
-        """
+        No stamp is later than `now`. A simulator advances its physics to `now`; hardware drains its queues. Nothing
+        before `connect` and after `close`."""
 
     def drive(self, command: VelocityCommand) -> None:
         """Velocity until the next call. Already limited and checked by the gate. Never blocks.
@@ -85,7 +85,8 @@ class Backend(Protocol):
         """Newest summary state."""
 
     def diagnostics(self) -> dict[str, float]:
-        """Figures for operators by name: measured values as float (offsets of clocks in s), counters as int. Empty where there are none."""
+        """Figures for operators by name: measured values as float (offsets of clocks in s), counters as int. May be
+        empty."""
 
     def close(self, *, lie_down: bool = True) -> None:
         """Leave the robot safe (stopped, then seated or damped) and release everything. Idempotent.

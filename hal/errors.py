@@ -7,7 +7,7 @@ class OperatorError(Exception):
     """Its text is one line that tells the operator what to do next; commands print it without a traceback."""
 
     retry: bool = False
-    """Whether another attempt may succeed without anybody's help. A process that ends with such an error is started again."""
+    """Whether another attempt may succeed without help. A process that ends with such an error is started again."""
 
     def __init__(self, *args: object, retry: bool | None = None) -> None:
         """`retry` replaces the value of the class."""

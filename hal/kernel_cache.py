@@ -1,12 +1,13 @@
 """Where numba keeps our compiled kernels, and what makes a kept one stale.
 
-Numba compiles a kernel that calls one of another file into one piece of machine code, and keeps it until the caller's own file changes: after an
-upgrade in place the old callee went on running. Here a kept kernel counts only if its file and every file of ours that this one imports, directly
-or not, have the contents that it was compiled from. (Numba itself looks at its version and at the processor.) Nothing is ever deleted: what is
-stale is compiled anew and written over, so processes that start together, or go on with the old sources, do not disturb each other.
+Numba compiles a kernel together with the kernels of other files that it calls, and keeps the result until the
+caller's own file changes. After an upgrade in place an old callee would go on running. Here a kept kernel counts only
+if its file, and every file of ours that this one imports directly or not, have the contents that it was compiled
+from. (Numba itself checks its version and the processor.) Nothing is ever deleted: a stale kernel is compiled anew
+and written over. So processes that start together, or run on the old sources, do not disturb each other.
 
-`hal/__init__.py` names these classes in the environment, where numba looks for them: importing `hal`, `mapping` or `planning` is enough.
-"""
+`hal/__init__.py` names these classes in the environment, where numba looks for them: importing `hal`, `mapping` or
+`planning` is enough."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ Kernel = Callable[..., Any]
 
 
 def borrows(kernel: Kernel, **options: Any) -> Kernel:
-    """Compile a kernel that makes no array. It counts no references to those that it is given: else each call counts them all, up and down, in the
-    memory that all cores share."""
+    """Compile a kernel that makes no array. It counts no references to its array arguments: otherwise each call would
+    count all of them up and down, in memory that all cores share."""
     compiled: Kernel = njit(cache=True, _nrt=False, **options)(kernel)  # type: ignore[call-overload]
     return compiled
 

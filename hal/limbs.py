@@ -1,11 +1,12 @@
 """Four limbs: the one layout of joints that every robot of ours is described in, and its kinematics.
 
-A limb has a hip that turns about x, a thigh and a calf that turn about y, and a wheel, or a foot that does not turn, at its end.
-A joint that a robot lacks stays at zero: a robot on four fixed wheels has links of no length. Frames: base_link, x forward,
-y left, z up; at zero angles the limbs hang straight down and a knee that points backward has a negative angle.
+A limb has a hip that turns about x, a thigh and a calf that turn about y, and a wheel, or a foot that does not turn,
+at its end. A joint that a robot lacks stays at zero: a robot on four fixed wheels has links of no length. Frames:
+base_link, x forward, y left, z up; at zero angles the limbs hang straight down and a knee that points backward has a
+negative angle.
 
-Joint arrays are (16,) in the order of `MOTORS`. The kinematics are numba functions of numbers, so kernels of every robot call them.
-"""
+Joint arrays are (16,) in the order of `MOTORS`. The kinematics are numba functions of numbers, so kernels of every
+robot call them."""
 
 from __future__ import annotations
 
@@ -85,8 +86,8 @@ def wheel_centres(limbs: Limbs, q: Array) -> Array:
 def wheel_jacobians(limbs: Limbs, q: Array) -> Array:
     """Jacobians of `wheel_centres`.
 
-    Returns (4, 3, 3) [m/rad]: `J[leg, axis, joint]`, joints hip, thigh, calf. The wheel's own angle does not move its centre.
-    """
+    Returns (4, 3, 3) [m/rad]: `J[leg, axis, joint]`, joints hip, thigh, calf. The wheel's own angle does not move its
+    centre."""
     out = np.empty((4, 3, 3))
     for leg in range(4):
         hip = q[3 * leg]
@@ -112,5 +113,6 @@ def wheel_jacobians(limbs: Limbs, q: Array) -> Array:
 
 
 def stand_height(limbs: Limbs, q: Array) -> float:
-    """Height [m] of base_link above level ground with the joints at `q` (16,) and the trunk level: mean of the four limbs."""
+    """Height [m] of base_link above level ground with the joints at `q` (16,) and the trunk level: mean of the four
+    limbs."""
     return float(limbs.radius - wheel_centres(limbs, q)[:, 2].mean())

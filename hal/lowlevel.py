@@ -1,7 +1,7 @@
 """The joint-level interface between a locomotion controller and a robot, shaped like the SDK's LowState/LowCmd.
 
-Arrays are (16,) float64 in SDK motor order (`hal.limbs.MOTORS`): FR hip, thigh, calf; FL; RR; RL; wheels FR, FL, RR, RL.
-"""
+Arrays are (16,) float64 in SDK motor order (`hal.limbs.MOTORS`): FR hip, thigh, calf; FL; RR; RL; wheels FR, FL, RR,
+RL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Whether a sample of a sensor is possible: its range, and gravity's size and side in an IMU. One judge for backend and odometry."""
+"""Whether a sample of a sensor is possible: its range, and size and side of gravity in an IMU. One judge for backend
+and odometry."""
 
 from __future__ import annotations
 
@@ -23,9 +24,10 @@ _SMOOTH = 0.5
 _SHOCK = 2.0 * GRAVITY
 """[m/s^2] A larger force counts as one of this size: one blow outweighs no half second, a wrong unit does."""
 _TUMBLES = 2.0
-"""[rad/s] No robot turns so fast on its feet: one that was thrown over flies for longer than half a second, and feels no gravity then."""
+"""[rad/s] No robot turns so fast on its feet. A robot that was thrown over flies for more than half a second and
+feels no gravity then."""
 _TRUST = 5.0
-"""[s] in which the direction that the gyro tells is drawn to the measured one: a bias of 1 deg/s puts it off by 5 deg."""
+"""[s] Time constant that draws the gyro's direction to the measured one: a bias of 1 deg/s puts it off by 5 deg."""
 _GAP = NS // 5
 """[ns] without a sample after which the gyro tells nothing of the direction."""
 
@@ -33,10 +35,9 @@ _GAP = NS // 5
 class ImuCheck:
     """Judges the samples of one IMU, in base_link.
 
-    Gravity is there always: averaged over half a second, turned along by the gyro, the specific force is near 9.8 m/s^2 and where the gyro
-    tells. A robot that falls turns both; reversed signs or another unit turn one. At the start nothing tells the two apart, and the robot has to be on
-    its feet or its belly.
-    """
+    Gravity is always there. Averaged over half a second and rotated by the gyro, the specific force is near 9.8 m/s^2
+    and where the gyro predicts. A robot that falls turns both; reversed signs or another unit turn one. At the start
+    nothing tells the two apart, so the robot must be on its feet or its belly."""
 
     def __init__(self, stream: str) -> None:
         """`stream`: as operators call it."""
@@ -49,7 +50,8 @@ class ImuCheck:
         """Mean turn rate [rad/s]."""
 
     def impossible(self, gyro: Array, accel: Array) -> str:
-        """Which value of a sample, (3,) [rad/s] and (3,) [m/s^2], no such sensor can measure; empty where all can be."""
+        """Name the value of a sample, (3,) [rad/s] and (3,) [m/s^2], that no such sensor can measure; empty if all
+        are possible."""
         for row, values in ((ACCELERATION, accel), (TURN_RATE, gyro)):
             for value in values.tolist():
                 if row.outside(value):
@@ -57,7 +59,8 @@ class ImuCheck:
         return ""
 
     def contradicted(self, stamp: int, gyro: Array, accel: Array) -> str:
-        """Why gravity contradicts a possible sample at `stamp` [ns]; empty where it does not. Call it for each, in order."""
+        """Why gravity contradicts a possible sample at `stamp` [ns]; empty if it does not. Call it for each sample,
+        in order."""
         # Plain floats: at the rate of an IMU, numpy on three numbers costs more than all the rest.
         x, y, z = accel.tolist()
         share = min(1.0, _SHOCK / (math.hypot(x, y, z) or 1.0))

@@ -18,10 +18,11 @@ KINDS = {
 
 
 def open_regular(path: Path | str) -> BufferedReader:
-    """The file, to be read. Raises OSError, also for what is no regular file: a pipe lets its reader wait for ever, a device may have no end.
+    """Open a regular file for reading. Raises OSError, also for other files: a pipe makes its reader wait for ever, a
+    device may have no end.
 
-    It is looked at before it is opened, as to open a device may do something, and again after, as it may be another one by then.
-    """
+    It is checked before it is opened, because opening a device may do something, and again after, because it may have
+    been replaced."""
     _refuse(os.stat(path).st_mode, path)
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -33,7 +34,8 @@ def open_regular(path: Path | str) -> BufferedReader:
 
 
 def is_own(path: Path) -> bool:
-    """A file itself, no link: who looks into a folder that came from elsewhere must not be led to a file of this computer, a key."""
+    """Whether this is a file and no link: a folder from elsewhere must not lead its reader to a file of this
+    computer, such as a key."""
     return path.is_file() and not path.is_symlink()
 
 

@@ -22,10 +22,10 @@ def wrap(angle: Angle) -> Angle:
 
 
 def rotation_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
-    """(..., 3, 3) rotations parent <- child about the fixed x, y, z axes of the parent, Rz(yaw) Ry(pitch) Rx(roll) (REP 103).
+    """(..., 3, 3) rotations parent <- child about the fixed x, y, z axes of the parent, Rz(yaw) Ry(pitch) Rx(roll)
+    (REP 103).
 
-    Angles (...) [rad].
-    """
+    Angles (...) [rad]."""
     r, p, y = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
     cr, cp, cy, sr, sp, sy = np.cos(r), np.cos(p), np.cos(y), np.sin(r), np.sin(p), np.sin(y)
     rows = [
@@ -45,7 +45,8 @@ def rpy_of(matrix: Array) -> tuple[float, float, float]:
 
 @njit(cache=True)
 def up_of(quaternion: Array) -> tuple[float, float, float]:
-    """World z in the axes of a body whose attitude is the unit quaternion w, x, y, z (the order of LowState and MuJoCo)."""
+    """World z in the axes of a body whose attitude is the unit quaternion w, x, y, z (the order of LowState and
+    MuJoCo)."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
 

@@ -1,4 +1,5 @@
-"""When the points of a sweep were measured: unit and strays of a driver's time field, told by the points that hit something."""
+"""When the points of a sweep were measured: unit and outliers of a driver's time field, judged by the points with a
+return."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from hal.types import NS, Array
 
 SHORTEST, LONGEST = POINT_TIMES.low, POINT_TIMES.high
 UNITS = {1.0: NS, 1e-3: NS // 10**3, 1e-6: NS // 10**6, 1e-9: 1}
-"""Seconds, milli-, micro- and nanoseconds: each in [s] and in [ns]. Sweeps last 10 to 600 ms, so the spread tells which."""
+"""Seconds, milli-, micro- and nanoseconds: each in [s] and in [ns]. Sweeps last 10 to 600 ms, so the spread tells
+which."""
 EDGE = 20
 """One of so many points at either end may be a stray."""
 HOLE = 0.25
@@ -51,10 +53,11 @@ class SweepTimes:
 def sweep_times(
     field: NDArray, hit: NDArray[np.bool_], unit: float | None = None, near: int = 0
 ) -> SweepTimes:
-    """Read a time `field` (n,) of any numeric type; `hit` (n,): the points that are a return, the times of others may be anything.
+    """Read a time `field` (n,) of any numeric type; `hit` (n,): the points that are a return, the times of others may
+    be anything.
 
-    `unit` [s]: where it is known; otherwise it is recognised. `near` [ns]: about that time, for a field of one value. Raises TimesError.
-    """
+    `unit` [s]: where it is known; otherwise it is recognised. `near` [ns]: about that time, for a field of one value.
+    Raises TimesError."""
     whole = np.issubdtype(field.dtype, np.integer)
     values = np.clip(field, -(2**62), 2**62 - 1).astype(np.int64) if whole else field.astype(np.float64)
     good = hit if whole else hit & np.isfinite(values)

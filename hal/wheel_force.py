@@ -1,4 +1,5 @@
-"""What the ground does to the wheels, told from the leg torques: the one estimate behind contact flags, wheel odometry and controller."""
+"""Forces of the ground on the wheels from leg torques: the one estimate behind contact flags, wheel odometry and
+controller."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ CONTACT_FORCE = 12.0
 
 @njit(cache=True)
 def inverse3(a: Array) -> Array:
-    """Inverse of a (3, 3) matrix; near singularity (straight knee) the determinant is floored, so the result stays finite."""
+    """Inverse of a (3, 3) matrix; near singularity (straight knee) the determinant is floored, so the result stays
+    finite."""
     out = np.empty((3, 3))
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
     c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
@@ -37,10 +39,11 @@ def inverse3(a: Array) -> Array:
 
 @njit(cache=True)
 def axle_force(jacobian: Array, t0: float, t1: float, t2: float) -> tuple[float, float, float]:
-    """Force f [N] on the axle that balances the joint torques t [Nm]: J^T f = t, in the axes of `jacobian` (3, 3) of the wheel centre.
+    """Force f [N] on the axle that balances the joint torques t [Nm]: J^T f = t, in the axes of `jacobian` (3, 3) of
+    the wheel centre.
 
-    Quasi-static: the leg's inertia is left out. The ground's force on a wheel is the one that balances minus the motor torques.
-    """
+    Quasi-static: the leg's inertia is left out. The ground's force on a wheel is the one that balances minus the
+    motor torques."""
     inv = inverse3(jacobian)
     fx = inv[0, 0] * t0 + inv[1, 0] * t1 + inv[2, 0] * t2
     fy = inv[0, 1] * t0 + inv[1, 1] * t1 + inv[2, 1] * t2
@@ -58,9 +61,8 @@ def is_rigid(limbs: Limbs) -> bool:
 def wheel_loads(limbs: Limbs, q: Array, tau: Array, up: Array) -> Array:
     """(4,) force of the ground on each wheel [N] along the unit vector `up` (3,), base_link axes; legs FR, FL, RR, RL.
 
-    `q` [rad] and `tau` [Nm]: (16,) as `hal.limbs.MOTORS`. The weight of the legs is left out: about 10 N a leg of 2.5 kg.
-    Infinite where no joint tells.
-    """
+    `q` [rad] and `tau` [Nm]: (16,) as `hal.limbs.MOTORS`. The weight of the legs is left out: about 10 N a leg of 2.5
+    kg. Infinite where no joint tells."""
     load = np.full(4, np.inf)
     if is_rigid(limbs):
         return load
@@ -73,8 +75,8 @@ def wheel_loads(limbs: Limbs, q: Array, tau: Array, up: Array) -> Array:
 
 @njit(cache=True)
 def wheel_pushes(limbs: Limbs, q: Array, tau: Array) -> Array:
-    """(4,) force of the ground on each wheel [N] along the trunk's x axis, as `wheel_loads`, with the reaction of the wheels'
-    own motors; of wheels on the body itself what their motors push."""
+    """(4,) force of the ground on each wheel [N] along the trunk's x axis, as `wheel_loads`, with the reaction of the
+    wheels' own motors; of wheels on the body itself what their motors push."""
     jacobian = wheel_jacobians(limbs, q)
     push = np.empty(4)
     for leg in range(4):

@@ -1,4 +1,4 @@
-"""A cloud thinned to one point a voxel, the mean of what fell into it: what a map keeps of walls, ceilings and trees."""
+"""A cloud thinned to one point per voxel, the mean of its points: what a map keeps of walls, ceilings and trees."""
 
 from __future__ import annotations
 
@@ -48,9 +48,8 @@ class ThinCloud:
     def add(
         self, points: NDArray[np.float32], rotation: NDArray[np.float64], place: NDArray[np.float64]
     ) -> None:
-        """Points (n, 3) of a scan in base_link, whose pose is `rotation` (3, 3) and `place` (3,) [m]. Left out are those that are not finite
-        or farther than `REACH`.
-        """
+        """Add points (n, 3) of a scan in base_link, at the pose `rotation` (3, 3), `place` (3,) [m]. Points that are
+        not finite or farther than `REACH` are left out."""
         self._take(points, rotation, place, REACH)
 
     def enter(self, points: NDArray[np.float32]) -> None:

@@ -34,7 +34,8 @@ def fence_of(areas: Sequence[msg.GroundArea]) -> Fence:
 
 
 def ground_area(name: str, corners: Sequence[Sequence[float]], *, keep_out: bool) -> msg.GroundArea:
-    """`corners` x, y [m] in `map`, as they come: `fence_of` judges them. Raises ValueError, TypeError for no numbers."""
+    """`corners` x, y [m] in `map`, unchecked: `fence_of` judges them. Raises ValueError, TypeError for anything but
+    numbers."""
     flat = np.array([(float(x), float(y)) for x, y in corners], np.float64).reshape(-1)
     return msg.GroundArea(name=name, keep_out=keep_out, corners=flat)
 

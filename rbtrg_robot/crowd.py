@@ -1,8 +1,9 @@
-"""How many may be connected to a door. Connections that have not shown who they are give way to newer ones, so a flood of them keeps nobody out.
+"""How many connections a server takes. Unidentified connections give way to newer ones, so a flood of them keeps
+nobody out.
 
-uvicorn's `limit_concurrency` answers 503 to everybody once enough idle sockets are open, to those who want to stop the robot too, and
-counts no WebSocket. The server of `websockets` has no limit: each connection is a thread, and it ends when no descriptors are left.
-"""
+uvicorn's `limit_concurrency` answers 503 to everybody once enough idle sockets are open, also to those who want to
+stop the robot, and counts no WebSocket. The server of `websockets` has no limit: each connection is a thread, and it
+ends when no descriptors are left."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ import threading
 from collections.abc import Callable
 
 QUEUE = 1024
-"""Connections that the computer holds until they are accepted. It drops what comes beyond that, and who is dropped tries again after 1 s."""
+"""Connections that the computer holds until they are accepted. It drops those beyond; a dropped client tries again
+after 1 s."""
 RUSH = 128
 """So many accepted in a row, with the next one waiting each time, are a flood."""
 LARGEST = 16_384
@@ -22,7 +24,7 @@ Address = tuple[str, int]
 
 
 class CrowdedSocket(socket.socket):
-    """A listening socket that knows what it has let in. The server that accepts from it closes what was shut down here."""
+    """A listening socket that knows its connections. The server that accepts from it closes what was shut down here."""
 
     def __init__(
         self,
@@ -33,10 +35,11 @@ class CrowdedSocket(socket.socket):
         guests: int,
         asks: Callable[[bytes], bool] | None = None,
     ) -> None:
-        """`strangers`: connections that have not shown who they are; one gives way when so many newer ones have come. `guests`: connections
-        that have, all open. `asks`: whether these bytes are all that a visitor has to send first: in a flood, who has not is not let in
-        (of a socket that does not block). Raises OSError where the address is taken or is none.
-        """
+        """`strangers`: unidentified connections, of which one gives way when so many newer ones have come. `guests`:
+        identified connections, all open.
+
+        `asks(bytes)`: true if a complete first request has arrived. During a flood other connections are dropped
+        (non-blocking sockets only). Raises OSError if the address is taken or invalid."""
         super().__init__(socket.AF_INET6 if ":" in host else socket.AF_INET)
         self.strangers, self.guests = strangers, guests
         self._asks = asks

@@ -1,8 +1,9 @@
-"""Numbers of latches: what a `resume` must name, and which stop a latch confirms. The standard library only: `stop` starts with it.
+"""Numbers of latches: what a `resume` must name, and which stop a latch confirms. The standard library only: `stop`
+starts with it.
 
-RobotState.latch rises with every stop that the robot takes, repeats too. A sender gives his stop a name, and the number that the robot
-latches with ends in it. So a state of before, or of somebody else's stop, is no answer to one that was lost.
-"""
+RobotState.latch rises with every stop that the robot takes, repeats too. A sender gives its stop a name, and the
+number that the robot latches with ends in it. So an earlier state, or one of another stop, is no answer to a lost
+stop."""
 
 from __future__ import annotations
 

@@ -39,7 +39,8 @@ class Scope:
 
     @classmethod
     def wanted(cls, domain: int, robot: str) -> str:
-        """Prefix of the robot that an emergency stop means, where nobody knows what runs: without a name every robot there."""
+        """Key prefix of the robot that an emergency stop means, if nobody knows what runs; without a name, every
+        robot there."""
         return f"{domain}/**" if robot == ROBOT else cls.of(domain, robot).prefix
 
     def topic(self, name: str) -> str:

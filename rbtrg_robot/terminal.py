@@ -1,8 +1,9 @@
-"""Lines on a terminal. All text of others goes through here: of logs, missions, maps, goals, processes and other computers.
+"""Lines on a terminal. All foreign text goes through here: of logs, missions, maps, goals, processes and other
+computers.
 
-A terminal does what control characters say: a mission's name could clear the screen, rename the window, or write `stopped` over what was
-there. They are written out (`\\x1b`) instead. Only the standard library is imported: `stop` prints through this module, too.
-"""
+A terminal obeys control characters: a mission's name could clear the screen, rename the window, or overwrite
+`stopped`. They are written out (`\\x1b`) instead. Only the standard library is imported: `stop` prints through this
+module, too."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ CLEAR_LINE = "\r\x1b[K"
 
 
 def plain(text: str) -> str:
-    """The text in one line without characters that move a cursor, change colours or turn the direction of words; letters of all languages stay."""
+    """The text in one line without characters that move a cursor, change colours or turn the direction of words;
+    letters of all languages stay."""
     if text.isprintable():
         return text
     return "".join(c if _harmless(c) else c.encode("unicode_escape").decode() for c in text)

@@ -1,7 +1,6 @@
 """YAML from people: plain values, or one error that says what is wrong.
 
-PyYAML raises whatever its constructors trip over, and a few lines of aliases stand for as many values as somebody likes.
-"""
+PyYAML raises whatever its constructors trip over, and a few lines of aliases can stand for any number of values."""
 
 from __future__ import annotations
 

@@ -23,11 +23,11 @@ def moving_rays(
     origins: NDArray[np.float32],
     directions: NDArray[np.float32],
 ) -> None:
-    """World origin and direction of beams (n, 3; `base_link` axes) fired at `time` (n,) [ns] between two base poses at `begin` and `end`.
+    """World origin and direction of beams (n, 3; `base_link` axes) fired at `time` (n,) [ns] between two base poses
+    at `begin` and `end`.
 
     Quaternions are w, x, y, z; `mount` (3,) is the sensor's position in `base_link`. Between the poses position is
-    linear and attitude a normalised linear blend, right to 1e-5 rad for steps up to 0.1 rad.
-    """
+    linear and attitude a normalised linear blend, right to 1e-5 rad for steps up to 0.1 rad."""
     sign = 1.0 if q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3] >= 0.0 else -1.0
     span = float(end - begin)
     for i in range(beams.shape[0]):
@@ -66,9 +66,8 @@ def turn_beams(
 ) -> None:
     """Unit beams (n, 3) off by `sigma` [rad] per axis, turned by `rotation` (3, 3), into `out` (n, 3).
 
-    `error` (n, 3): uniform draws from [0, 1), which cost a quarter of normal ones. The part of an error along its beam has
-    no effect after normalising.
-    """
+    `error` (n, 3): uniform draws from [0, 1), which cost a quarter of normal ones. The part of an error along its
+    beam has no effect after normalising."""
     width = sigma * np.sqrt(12.0)
     for i in range(nominal.shape[0]):
         x = nominal[i, 0] + width * (error[i, 0] - 0.5)
@@ -95,10 +94,9 @@ def measure(
 ) -> int:
     """Turn true ranges (n,) into what the sensor reports, into `points` (n,) of POINT_DTYPE.
 
-    `draw` (3, n) uniform and `noise` (n,) standard normal. `limits`: least and greatest range [m], range sigma [m], dropout share,
-    cosine where returns fade, mixed share, least and greatest depth edge that mixes [m].
-    Coordinates and times are rounded to POINT_QUANTUM and TIME_QUANTUM. Returns the number of points.
-    """
+    `draw` (3, n) uniform and `noise` (n,) standard normal. `limits`: least and greatest range [m], range sigma [m],
+    dropout share, cosine where returns fade, mixed share, least and greatest depth edge that mixes [m]. Coordinates
+    and times are rounded to POINT_QUANTUM and TIME_QUANTUM. Returns the number of points."""
     low, high, sigma, dropout, fade, mixed, edge_low, edge_high = limits
     n = ranges.shape[0]
     m = 0

@@ -1,4 +1,5 @@
-"""Ray kernels: oriented boxes, incidence, and the max pyramid that the march over the surface climbs (`hal.lidar.march`)."""
+"""Ray kernels: oriented boxes, incidence, and the max pyramid that the march over the surface climbs
+(`hal.lidar.march`)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The march of rays over the triangulated height surface: exact on the triangles.
 
-One long kernel: a function per ray would count references to the arrays for every ray, which takes as long as the march.
-"""
+One long kernel: a function per ray would count references to the arrays for every ray, which takes as long as the
+march."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hal.lidar.kernels import BLOCK, REACH
 
 PARALLEL = 1e-12
-"""Cells per metre below which a ray goes along an axis: it is taken to drift by that little, which spares every test for zero."""
+"""Cells per metre below which a ray runs along an axis: it is given that small drift, which saves every test for
+zero."""
 PER_BLOCK = 1.0 / BLOCK
 JUMP = REACH * BLOCK - 1e-3
 """Cells along the faster axis that a ray may go without leaving what `Pyramid.around` covers."""
@@ -34,12 +35,11 @@ def cast_surface(
     directions: NDArray[np.float32],
     t_max: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Range (n,) [m] to the surface along unit `directions` (n, 3) from `origins` (n, 3), inf for a miss, and |cos| (n,) of
-    the angle between ray and surface normal there, 0 for a miss.
+    """Range (n,) [m] to the surface along unit `directions` (n, 3) from `origins` (n, 3), inf for a miss, and |cos|
+    (n,) of the angle between ray and surface normal there, 0 for a miss.
 
     `height` (rows, cols) [m] with its `Pyramid`; (x0, y0) [m]: vertex [0, 0]. Inside, x and y are in cells, z and the
-    parameter t of a ray in metres.
-    """
+    parameter t of a ray in metres."""
     n = origins.shape[0]
     ranges, cosine = np.empty(n, np.float32), np.empty(n, np.float32)
     top = highest + 1e-3

@@ -1,7 +1,7 @@
 """Grass and bushes: boxes that a ray may pass through. It stops inside with the same probability on every metre.
 
-The distance to the first leaf is exponential (Beer-Lambert law): a share exp(-density * way) of the rays comes out at the far side.
-"""
+The distance to the first leaf is exponential (Beer-Lambert law): a share exp(-density * way) of the rays comes out at
+the far side."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def cast_clumps(
 ) -> None:
     """Lower `ranges` (n,) [m] to the first leaf on each ray, and set `hit` (n,) there.
 
-    Rows of `clumps` (m, 7): see `pack_clumps`; they must not overlap. `draw` (m, n): uniform in [0, 1), one for each clump and ray.
-    """
+    Rows of `clumps` (m, 7): see `pack_clumps`; they must not overlap. `draw` (m, n): uniform in [0, 1), one for each
+    clump and ray."""
     for k in range(clumps.shape[0]):
         c = clumps[k]
         for i in range(origins.shape[0]):

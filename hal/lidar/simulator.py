@@ -119,11 +119,11 @@ class LidarSimulator:
         self._boxes = pack_boxes(tuple(boxes))
 
     def advance(self, stamp: int, position: Array, quaternion: Array) -> LidarScan | None:
-        """Fire all rays due in (last stamp, `stamp`]; the finished scan when its sweep ended, else None.
+        """Fire all rays due in (last stamp, `stamp`]; returns the finished scan if its sweep ended, else None.
 
-        `stamp` [ns]; `position` (3,) of base_link in the world [m]; `quaternion` (4,) w, x, y, z, world <- base_link. Both are kept until the next call.
-        Sweeps start at multiples of the period; the first one at or after the first stamp.
-        """
+        `stamp` [ns]; `position` (3,) of base_link in the world [m]; `quaternion` (4,) w, x, y, z, world <- base_link.
+        Both are kept until the next call. Sweeps start at multiples of the period; the first one at or after the
+        first stamp."""
         where = np.ascontiguousarray(position, np.float64), np.ascontiguousarray(quaternion, np.float64)
         pose = (int(stamp), *where)
         if self._last is None:

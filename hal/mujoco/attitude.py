@@ -1,4 +1,5 @@
-"""The attitude that the robot's IMU tells: gyro and accelerometer, no magnetometer. Driving and impacts tilt it, the heading drifts."""
+"""The attitude of the robot's IMU: gyro and accelerometer, no magnetometer. Driving and impacts tilt it, the heading
+drifts."""
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ from hal.rotation import up_of
 from hal.types import GRAVITY, Array
 
 GAIN = 0.2
-"""Pull of the accelerometer [1/s]: an error of attitude fades with a time constant of 1/GAIN. What a Go2-W's IMU has is not public; inertial
-units of its class have some seconds."""
+"""Pull of the accelerometer [1/s]: an attitude error fades with a time constant of 1/GAIN. That of a Go2-W's IMU is
+not public; inertial units of its class have some seconds."""
 LONGEST = 0.05
 """A step between two samples counts as at most this [s]."""
 SETTLED = 5.0 / GAIN
@@ -22,13 +23,14 @@ SETTLED = 5.0 / GAIN
 class AttitudeFilter:
     """Mahony's complementary filter (IEEE TAC 53(5), 2008, eq. 48) without its estimate of the gyro's bias.
 
-    The gyro turns the attitude, and the measured specific force pulls its vertical at the rate GAIN. As in Mahony's implementation every
-    sample counts by its direction alone, however large it is: a speed that changes by 2 m/s^2 for 0.3 s tilts it by 0.7 deg, one sample
-    of an impact by at most GAIN times its duration, 0.06 deg at 200 Hz. Nothing holds the heading, which begins at the true one.
-    """
+    The gyro turns the attitude, and the measured specific force pulls its vertical at the rate GAIN. As in Mahony's
+    implementation every sample counts by its direction alone, however large it is. A speed that changes by 2 m/s^2
+    for 0.3 s tilts the attitude by 0.7 deg; one sample of an impact by at most GAIN times its duration, 0.06 deg at
+    200 Hz. Nothing holds the heading, which begins at the true one."""
 
     def __init__(self, gyro_bias: Array | None = None, accel_bias: Array | None = None) -> None:
-        """Constant errors of its input, (3,) [rad/s] and (3,) [m/s^2], to which it has settled at the start; None for none."""
+        """Constant errors of its input, (3,) [rad/s] and (3,) [m/s^2], to which it has settled at the start; None for
+        none."""
         none = np.zeros(3)
         self._gyro = tuple((none if gyro_bias is None else gyro_bias).tolist())
         self._accel = (none if accel_bias is None else accel_bias).tolist()
@@ -40,10 +42,10 @@ class AttitudeFilter:
         self._time = None
 
     def measure(self, state: LowState) -> None:
-        """Replace the true attitude of `state`, whose gyro and accelerometer have their errors already, by the filter's, in place.
+        """Replace the true attitude of `state` by the filter's, in place; its gyro and accelerometer already have
+        their errors.
 
-        The first state is the start: the filter has been on for a while, with the robot at rest as it is now.
-        """
+        The first state is the start: the filter has been on for a while, with the robot at rest as it is now."""
         if self._time is None:
             w, x, y, z = state.quaternion.tolist()
             self._q = (w, x, y, z)

@@ -214,7 +214,8 @@ class MujocoBackend:
         self.simulation.push(force, duration)
 
     def placed(self) -> None:
-        """The simulation was given another attitude from outside, which no gyro felt: the attitude filter settles there."""
+        """The simulation was given another attitude from outside, which no gyro felt: the attitude filter settles
+        there."""
         self._sensors.placed()
 
     # --- one physics step ------------------------------------------------------------------------------------------

@@ -13,9 +13,8 @@ from hal.types import PostureCommand, VelocityCommand
 class Driver:
     """Velocity in, motion out: each `step` is one physics step, the controller runs at its own period.
 
-    The attitude that the controller is told is that of the IMU's filter on exact gyro and accelerometer. `sense` may change what the
-    controller is told of the state, such as by noise. It never touches the physics.
-    """
+    The controller gets the attitude of the IMU's filter on exact gyro and accelerometer. `sense` may change what the
+    controller is told of the state, for example by noise. It never touches the physics."""
 
     def __init__(
         self,

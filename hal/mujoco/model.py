@@ -1,11 +1,11 @@
 """A robot and its ground as a MuJoCo model. The robot itself comes from its own folder (`hal.mujoco.robot.Simulated`).
 
-Contact follows the vendor's MJCF of the Go2-W (unitreerobotics/unitree_mujoco): elliptic cones, impratio 100, wheels of
-priority 1 with friction mu and .02 m against spinning on the spot. Unlike there, wheels have no rolling friction: that shares
-the friction cone with sliding, so a wheel that rolls has no grip left until it slips, and covers 0.90 to 1.01 of its
-circumference, by speed, direction and time step. Without it, it covers 0.998 to 1.000. Geoms of group 3 collide and are not
-drawn; group 2 is drawn and does not collide; group 1 does both. The robot does not collide with itself.
-"""
+Contact follows the vendor's MJCF of the Go2-W (unitreerobotics/unitree_mujoco): elliptic cones, impratio 100, wheels
+of priority 1 with friction mu and .02 m against spinning on the spot. Unlike there, wheels have no rolling friction:
+that shares the friction cone with sliding, so a wheel that rolls has no grip left until it slips, and covers 0.90 to
+1.01 of its circumference, by speed, direction and time step. Without it, it covers 0.998 to 1.000. Geoms of group 3
+collide and are not drawn; group 2 is drawn and does not collide; group 1 does both. The robot does not collide with
+itself."""
 
 from __future__ import annotations
 
@@ -42,14 +42,16 @@ def build(
 ) -> mujoco.MjModel:
     """`robot` on terrain.
 
-    `height`: (rows, cols) [m], cell [0, 0] centred on `origin` (x, y [m]); `friction`: sliding friction of the wheels;
-    `payload`: mass [kg] fixed on top of the trunk; `boxes`: full lengths [m] of mocap boxes (`box0`...) kept out of sight below the
-    ground until they are placed; `housings`: the wheel-motor housings collide. False is the collider set of the vendor's MJCF.
+    `height`: (rows, cols) [m], cell [0, 0] centred on `origin` (x, y [m]); `friction`: sliding friction of the
+    wheels;
+    `payload`: mass [kg] fixed on top of the trunk; `boxes`: full lengths [m] of mocap boxes (`box0`...) kept out of
+    sight below the ground until they are placed; `housings`: the wheel-motor housings collide. False is the collider
+    set of the vendor's MJCF.
     `looks`: with the parts that are only drawn; `camera`: one on the trunk to look through.
 
-    Each joint that the robot has, of `hal.limbs.MOTORS`, is driven by the actuator of its name with force = ctrl + biasprm[1] q + biasprm[2] dq, clipped by the motor's
-    torque limit; the simulation writes the gains of the current command into `actuator_biasprm`.
-    """
+    Each joint that the robot has, of `hal.limbs.MOTORS`, is driven by the actuator of its name with force = ctrl +
+    biasprm[1] q + biasprm[2] dq, clipped by the motor's torque limit; the simulation writes the gains of the current
+    command into `actuator_biasprm`."""
     spec = mujoco.MjSpec()
     spec.modelname = "robot"
     spec.compiler.degree = False

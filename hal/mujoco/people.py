@@ -1,4 +1,4 @@
-"""People who walk past the robot: the same ones for the same seed. They step aside for it, so that it is never pushed."""
+"""People who walk past the robot: the same ones for the same seed. They step aside for it, so it is never pushed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What MuJoCo builds a robot from, and the shapes that its builder is made of: the door of a robot's folder to the simulator."""
+"""What a robot's folder must bring for MuJoCo, and the shapes that its builder uses."""
 
 from __future__ import annotations
 
@@ -105,8 +105,8 @@ def sun(base: mujoco.MjsBody) -> None:
 
 
 def motor(spec: mujoco.MjSpec, name: str, torque: float) -> None:
-    """The actuator of a joint: force = ctrl + biasprm[1] q + biasprm[2] dq, at most `torque` [Nm]. The simulation writes
-    the gains of the current command into `actuator_biasprm`."""
+    """The actuator of a joint: force = ctrl + biasprm[1] q + biasprm[2] dq, at most `torque` [Nm]. The simulation
+    writes the gains of the current command into `actuator_biasprm`."""
     spec.add_actuator(
         name=name,
         target=name,

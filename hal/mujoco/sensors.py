@@ -1,4 +1,5 @@
-"""Sensor errors and delivery delays. Random numbers come in blocks: one draw per sample costs more than the physics step."""
+"""Sensor errors and delivery delays. Random numbers come in blocks: one draw per sample costs more than the physics
+step."""
 
 from __future__ import annotations
 

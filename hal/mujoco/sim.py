@@ -245,7 +245,8 @@ class Simulation:
         self._steps = 0
 
     def lift_clear(self, step: float = 0.01, most: float = 0.8) -> float:
-        """Raise the robot in steps [m] until nothing but wheels touches, at most by `most`; how far it was raised [m]."""
+        """Raise the robot in steps [m] until nothing but wheels touches, at most by `most`; returns how far it was
+        raised [m]."""
         z = float(self._qpos[2])
         for k in range(round(most / step) + 1):
             self._qpos[2] = z + k * step

@@ -1,8 +1,8 @@
-"""The walls that the body touches: which cells they are, and how much of the body is in none of them.
+"""Walls that the body touches: which cells they are, and which part of the body is in none of them.
 
-A wall that the body is in already, because it leans at it or slid to it, ends what leads deeper into it and nothing else: for that wall the body ends
-where the wall begins now. What is left out so is looked at as well, for all but that wall (`hal.safety.swept.shells`).
-"""
+A wall that the body is already in, because it leans at it or slid to it, stops only motion deeper into it. For that
+wall the body ends where the wall begins now. The part left out this way is checked against all other walls
+(`hal.safety.swept.shells`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from hal.safety.swept import NOISE, Body, Stand, Surroundings
 from hal.types import Capabilities
 
 DEEPEST = 0.12
-"""[m] How deep in the body a wall may be: of robots that leaned at one by 20 to 31 deg it was 0.08 to 0.12. Deeper, the map or the pose is wrong."""
+"""[m] Largest depth of a wall in the body: of robots that leaned at one by 20 to 31 deg it was 0.08 to 0.12. Deeper,
+map or pose is wrong."""
 NEAR = 0.04
 """[m] A wall that is nearer to the body touches it: a cell of the map."""
 WALL = 0.9
@@ -67,7 +68,8 @@ def contact_at(
 
 @njit(cache=True)
 def is_wall(height, row, col, plane, limit):  # pragma: no cover - compiled
-    """Whether a cell rises above `plane` [m] by more than `limit` [m], or by half of it next to one that does: the foot of a wall is mixed with it."""
+    """Whether a cell rises above `plane` [m] by more than `limit` [m], or by half of it beside a cell that does: the
+    foot of a wall is mixed."""
     rows, cols = height.shape
     above = height[row, col] - plane
     if not above > 0.5 * limit:
@@ -83,7 +85,8 @@ def is_wall(height, row, col, plane, limit):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def is_face(height, row, col, limit):  # pragma: no cover - compiled
-    """Whether a cell rises by more than `limit` [m] within two cells: beside a robot that leans, kerbs lie high above the plane that it stands on."""
+    """Whether a cell rises by more than `limit` [m] within two cells: beside a leaning robot, kerbs lie high above
+    its plane."""
     rows, cols = height.shape
     for r in range(max(0, row - 2), min(rows, row + 3)):
         for k in range(max(0, col - 2), min(cols, col + 3)):
@@ -96,10 +99,10 @@ def is_face(height, row, col, limit):  # pragma: no cover - compiled
 def ends_clear_of(
     height, x0, y0, resolution, x, y, yaw, stand, limit, face, wall, length, width
 ):  # pragma: no cover - compiled
-    """How far a body of half the `length` and half the `width` [m] that is larger by NEAR reaches to the front, back, left and right [m] if what is in a wall is left out: what is higher than
-    `limit` [m] above the plane that it stands on, and rises by more than `face` [m] within two cells. Sets `wall` (rows, cols) to 1 in the cells of walls that it is in. Second whether
-    walls are along its left and along its right side.
-    """
+    """How far a body of half the `length` and half the `width` [m], larger by NEAR, reaches to the front, back, left
+    and right [m] without its part in walls. A wall is higher than `limit` [m] above the plane under the robot and
+    rises by more than `face` [m] within two cells. Sets `wall` (rows, cols) to 1 in the cells of walls that the body
+    is in. The second result: whether walls are along its left and along its right side."""
     rows, cols = height.shape
     c, s = math.cos(yaw), math.sin(yaw)
     ahead, behind = np.zeros(2), np.zeros(2)  # farthest along, on the left and on the right
@@ -144,7 +147,8 @@ def ends_clear_of(
 
 @njit(cache=True)
 def grow_wall(height, x0, y0, resolution, x, y, yaw, stand, limit, wall):  # pragma: no cover - compiled
-    """Set `wall` (rows, cols) to 1 in all cells of walls within WALL of x, y [m] that hang together with those it holds: noise may leave out one."""
+    """Set `wall` (rows, cols) to 1 in all wall cells within WALL of x, y [m] connected to those it holds; noise may
+    leave a gap of one cell."""
     rows, cols = height.shape
     c, s = math.cos(yaw), math.sin(yaw)
     queue = np.empty((rows * cols, 2), np.int32)

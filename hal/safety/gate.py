@@ -4,11 +4,10 @@ Whatever happens elsewhere, a robot behind the gate moves only on a fresh, valid
 inside its fence and with its sensors alive. Two ways to stop:
 
 - a *hold* gives zero velocity while its condition lasts (no fresh command, stale sensor, robot not ready, fence);
-- a *latch* gives zero velocity until `resume` (operator's stop, operator's own remote, tilt, battery, motor temperature,
-  robot fault, moving without a command, not moving for long in spite of one).
+- a *latch* gives zero velocity until `resume` (operator's stop, operator's own remote, tilt, battery, motor
+  temperature, robot fault, moving without a command, not moving for long in spite of one).
 
-The gate is pure: time comes in as `now` [ns of the source clock], nothing blocks, nothing is random.
-"""
+The gate is pure: time comes in as `now` [ns of the source clock], nothing blocks, nothing is random."""
 
 from __future__ import annotations
 
@@ -42,7 +41,8 @@ __all__ = [
 
 
 class SafetyGate:
-    """Lets a velocity through or holds it at zero. Call `command` for every command that comes in, and `output` at the rate the robot is driven (>= 50 Hz)."""
+    """Lets a velocity through or holds it at zero. Call `command` for every incoming command, and `output` at the
+    rate the robot is driven (>= 50 Hz)."""
 
     def __init__(
         self,
@@ -99,7 +99,8 @@ class SafetyGate:
         self._refusal = refusal, now
 
     def posture(self, command: PostureCommand, now: int) -> Refusal | None:
-        """Take a tilt of the trunk at `now` [ns], or say why not. Like a velocity it must be repeated; the height is not passed on."""
+        """Take a tilt of the trunk at `now` [ns], or return why not. Like a velocity it must be repeated; the height
+        is not passed on."""
         refusal = self._trunk.command(command, now, "" if self._cause is None else self._cause.value)
         if refusal is not None:
             self._refused[refusal.reason] += 1

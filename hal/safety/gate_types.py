@@ -11,12 +11,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.types import RobotState
 
-# Bounds: from below a few periods of what is watched, or it would trip on a healthy robot; from above what the robot may do meanwhile at 1 m/s:
-# half a metre on a dead command, guard, IMU or joints, a body length beyond what it saw on a dead LiDAR, whose sweeps the guard dates itself.
+# Bounds: from below a few periods of what is watched, or it would trip on a healthy robot; from above what the robot
+# may do meanwhile at 1 m/s: half a metre on a dead command, guard, IMU or joints, a body length beyond what it saw on
+# a dead LiDAR, whose sweeps the guard dates itself.
 
 
 class SensorTimeouts(BaseModel):
-    """Oldest accepted sample [s] by sensor. Every sensor here must be alive; none can be left out, and no limit is so long that it is none."""
+    """Oldest accepted sample [s] by sensor. Every sensor here must be alive: none can be left out, and every limit
+    has an upper bound."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -117,7 +119,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """The speeds at which the body still stops before what is in its way; from a guard that sees the ground around it."""
+    """Speeds from which the body still stops before an obstacle; from a guard that sees the ground around it."""
 
     stamp: int
     forward: float = 0.0
@@ -148,7 +150,8 @@ class MotionLimits:
 
 @dataclass(frozen=True, slots=True)
 class GateInputs:
-    """State of the robot at an instant, as the gate knows it. None: not known, which holds the robot where it matters."""
+    """State of the robot at an instant, as the gate knows it. None: not known, which holds the robot where it
+    matters."""
 
     state: RobotState | None = None
     tilt: float | None = None
@@ -156,7 +159,7 @@ class GateInputs:
     velocity: tuple[float, float, float] | None = None
     """Measured vx, vy [m/s], wz [rad/s] in base_link, by odometry; None: nobody sees whether a command is followed."""
     wheels: tuple[float, float] | None = None
-    """Speed of the wheels [m/s] and yaw rate of the gyro [rad/s]: the second witness of motion that was not commanded."""
+    """Speed of the wheels [m/s] and yaw rate of the gyro [rad/s]: the second witness of uncommanded motion."""
     lean: tuple[float, float] = (0.0, 0.0)
     """x and y of the upward direction in base_link: (0.1, 0) has the nose up by 0.1 rad."""
     pose: tuple[float, float, float] | None = None

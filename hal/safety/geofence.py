@@ -124,8 +124,8 @@ class Geofence:
         return -nearest if inside else nearest
 
     def free(self, pose: Pose, course: float, margin: float, most: float, width: float) -> float:
-        """How far [m], up to `most`, the body, `width` [m] wide, may move in direction `course` [rad, base_link] with what lies `margin`
-        [m] ahead of base_link. One that is over a side already may move where it comes no deeper."""
+        """How far [m], up to `most`, the body, `width` [m] wide, may move in direction `course` [rad, base_link] with
+        its end `margin` [m] ahead of base_link. A body that is over a side already may move if it comes no deeper."""
         x, y, yaw = pose
         here = self.breach(x, y)
         if here < -(margin + most + width):  # no side is near
@@ -147,8 +147,8 @@ class Geofence:
         return most if all(way <= here + (SAME if here <= 0.0 else -SAME) for way in ways) else 0.0
 
     def free_turn(self, pose: Pose, most: float, size: Size) -> float:
-        """How far [rad] of the turn `most`, to the left or, negative, to the right, leaves the body of `size` on the right side.
-        A body that is over a side already may turn where it comes no deeper."""
+        """How far [rad] of the turn `most` (positive to the left) the body of `size` stays on the right side. A body
+        that is over a side already may turn if it comes no deeper."""
         x, y, yaw = pose
         if not most or self.breach(x, y) < -0.5 * math.hypot(*size):
             return most
@@ -190,7 +190,7 @@ class Geofence:
 
 
 def _clipped(a: Corner, b: Corner, across: float) -> tuple[float, float]:
-    """Least and most x of the part of a side with y from -`across` to `across`; most below least where there is none."""
+    """Least and most x of the part of a side with y from -`across` to `across`; most is below least if there is none."""
     (x0, y0), (x1, y1) = sorted((a, b), key=lambda p: p[1])
     if y0 > across or y1 < -across:
         return math.inf, -math.inf
@@ -219,7 +219,8 @@ class Fence:
         return Fence(self.polygons + other.polygons)
 
     def breach(self, x: float, y: float) -> tuple[float, Geofence | None]:
-        """Of the polygon whose wrong side is nearest: how far the place is on it [m], negative on the right one; and it."""
+        """Depth [m] of a place beyond the nearest side of all polygons, negative while it is on the right side; and
+        that polygon."""
         return max(
             ((p.breach(x, y), p) for p in self.polygons), key=lambda b: b[0], default=(-math.inf, None)
         )
@@ -227,11 +228,10 @@ class Fence:
     def speed(
         self, pose: Pose, speed: float, course: float, margin: float, horizon: float, width: float
     ) -> tuple[float, Geofence | None]:
-        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the body on the right side, and what
-        sets it.
+        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the body on the right side, and
+        what sets it.
 
-        What lies up to `margin` [m] ahead of base_link must stay there for `horizon` [s].
-        """
+        What lies up to `margin` [m] ahead of base_link must stay there for `horizon` [s]."""
         most, by = speed, None
         for polygon in self.polygons:
             free = (
@@ -244,8 +244,8 @@ class Fence:
         return most, by
 
     def turn(self, pose: Pose, rate: float, horizon: float, size: Size) -> tuple[float, Geofence | None]:
-        """The most of the yaw rate `rate` [rad/s] that keeps the body on the right side for `horizon` [s], and what sets
-        it."""
+        """The most of the yaw rate `rate` [rad/s] that keeps the body on the right side for `horizon` [s], and what
+        sets it."""
         most, by = rate, None
         for polygon in self.polygons:
             free = (

@@ -138,7 +138,7 @@ def taken_out(*names: str) -> Iterator[None]:
 
 # One block per area, in the order in which data flows. Rows are constants, so that the judge names its row.
 
-# -- clocks and streams of the robot ------------------------------------------------------------------------------------
+# -- clocks and streams of the robot ---------------------------------------------------------------------------------
 GUARD_BLIND = Monitor(
     "guard is blind",
     stream="/cloud/main, /cloud/head",
@@ -321,7 +321,7 @@ MOTOR_LOST = Monitor(
     test="hal/unitree/test_backend.py",
 )
 
-# -- localisation -------------------------------------------------------------------------------------------------------
+# -- localisation ----------------------------------------------------------------------------------------------------
 LIDAR_REPEATS = Monitor(
     "lidar_repeats",
     "LiDAR",
@@ -425,7 +425,7 @@ SWEEP_CLOCK = Monitor(
     test="mapping/odometry/test_intake.py",
 )
 
-# -- map, contact, what the robot feels -----------------------------------------------------------------------------------
+# -- map, contact, what the robot feels ------------------------------------------------------------------------------
 TOUCHED = Monitor(
     "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
     "touched something that the LiDAR does not see at {where}",
@@ -452,7 +452,7 @@ OWN_PARTS = Monitor(
     test="mapping/odometry/test_own.py",
 )
 
-# -- commands and who gives them ------------------------------------------------------------------------------------------
+# -- commands and who gives them -------------------------------------------------------------------------------------
 ROLLS_ON = Monitor(
     "rolls on",
     stream="rt/lowstate, rt/sportmodestate",
@@ -526,7 +526,7 @@ STRANGER = Monitor(
     test="rbtrg_robot/wire/test_owner.py",
 )
 
-# -- goals ----------------------------------------------------------------------------------------------------------------
+# -- goals -----------------------------------------------------------------------------------------------------------
 PLACE_UNSURE = Monitor(
     "place_unsure",
     "odometry",

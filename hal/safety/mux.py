@@ -1,10 +1,10 @@
-"""Arbitration of motion: one source at a time has it, the one with the highest priority that speaks.
+"""Arbitration of motion: one source at a time has it, the speaking one with the highest priority.
 
-A source is silent once its timeout has passed. Each has one owner a channel (velocity, tilt of the trunk): whoever spoke first keeps
-it while he speaks. Publishers are told apart by topic, so the same hand is another owner on another channel. A source that
-took the motion from a lower one keeps it until `release`, though it falls silent: a robot that was driven by hand goes on
-by itself only when told to. The emergency stop stands above all sources; it is the gate's.
-"""
+A source is silent once its timeout has passed. Each has one owner per channel (velocity, tilt of the trunk): the
+first to speak, while it speaks. Publishers are told apart by topic, so the same hand is another owner on another
+channel. A source that took the motion from a lower one keeps it until `release`, even if it falls silent: a robot
+that was driven by hand goes on by itself only when told to. The emergency stop stands above all sources; it belongs
+to the gate."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CommandMux:
         self._held: Source | None = None
 
     def take(self, source: Source, owner: str, now: int, channel: str = "") -> str:
-        """Why a command of `owner` through `source` does not count; empty where it does. `owner`: any name that is his own."""
+        """Why a command of `owner` through `source` does not count; empty if it does. `owner`: any name of its own."""
         voice = self._voices.get((source, channel))
         if voice is not None and voice.owner != owner and voice.speaks(source, now):
             return f"another {source.name} has the say"

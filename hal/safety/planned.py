@@ -1,8 +1,8 @@
-"""The guard's rules for the planner: the same kernel on the planner's map, so that no path leads where the guard would hold the robot.
+"""The guard's rules for the planner: the same kernel on the planner's map, so no path leads where the guard would
+hold the robot.
 
-The planner knows the heights that are certain and bounds of those that are not. It knows neither the newest sweep nor how the robot will
-be tilted: a track begins at the height of the first known ground under the body.
-"""
+The planner knows certain heights, and bounds of uncertain ones. It knows neither the newest sweep nor the future tilt
+of the robot: a track begins at the height of the first known ground under the body."""
 
 from __future__ import annotations
 
@@ -35,9 +35,8 @@ def mapped(
     resolution: float,
     bound: NDArray[np.float32] | None = None,
 ) -> Surroundings:
-    """Ground of a map. `height` (rows, cols) [m], NaN where it is not certain; `bound` (rows, cols) [m], the ground is not above
-    this, NaN where no ray tells; `origin` x, y [m] of the centre of cell [0, 0].
-    """
+    """Ground of a map. `height` (rows, cols) [m], NaN where it is not certain; `bound` (rows, cols) [m], the ground
+    is not above this, NaN where no ray tells; `origin` x, y [m] of the centre of cell [0, 0]."""
     nothing = np.zeros(height.shape, np.uint8)
     bound = np.full_like(height, np.nan) if bound is None else bound
     return Surroundings(height, bound, nothing, nothing, origin, resolution)
@@ -54,9 +53,8 @@ def known_behind(around: Surroundings, pose: Pose, body: Body, max_gap: float, r
 def free_turn(
     around: Surroundings, pose: Pose, turn: float, robot: Capabilities, spare: float = 0.0
 ) -> float:
-    """How far [rad], at most the size of `turn`, a body at `pose` may turn on the spot, to the left where `turn` is positive. Of `robot`
-    counts what it drives over; `spare` [m] is kept on all sides of the body.
-    """
+    """How far [rad], at most the size of `turn`, a body at `pose` may turn on the spot, to the left if `turn` is
+    positive. Of `robot` counts what it drives over; `spare` [m] is kept on all sides of the body."""
     body = Body.of(robot)
     samples = BEFORE + math.ceil(abs(turn) / turn_step(body)) + 1
     tracks = np.ascontiguousarray(_turning(body, math.copysign(1.0, turn), spare)[:, :samples])

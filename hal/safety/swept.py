@@ -122,9 +122,8 @@ def straight_tracks(reach: float, sign: float, whole: Body, part: Body | None = 
 def turn_tracks(
     reach: float, sign: float, whole: Body, part: Body | None = None, spare: float = 0.0
 ) -> Array:
-    """(tracks, samples, 2) of the rim that leads a turn of the `whole` body, or of a `part` of it, larger by `spare` [m]
-    on each side; `sign` 1.0 left, -1.0 right.
-    """
+    """(tracks, samples, 2) of the rim that leads a turn of the `whole` body, or of a `part` of it, larger by `spare`
+    [m] on each side; `sign` 1.0 left, -1.0 right."""
     length, width = whole.front + spare, whole.left + spare
     front, side = _spaced(-width, 0.0), _spaced(0.0, length)
     rim = np.concatenate(
@@ -143,8 +142,8 @@ def turn_tracks(
 
 
 def shells(tracks: Callable[[Body, Body], Array], whole: Body, part: Body) -> Array:
-    """(shells, tracks, samples, 2): the tracks of a `part` of the body, and outside of it those of parts that are larger
-    by SPACING, up to the `whole` one. `tracks` takes both."""
+    """(shells, tracks, samples, 2): the tracks of a `part` of the body, and outside of it those of parts that are
+    larger by SPACING, up to the `whole` one. `tracks` takes both."""
     lacks = np.array(whole) - part
     count = math.ceil(lacks.max() / SPACING - 1e-9)
     parts = [Body(*(whole - np.maximum(lacks - k * SPACING, 0.0)).tolist()) for k in range(count + 1)]
@@ -175,9 +174,8 @@ FLAT: Stand = (math.nan, 0.0, 0.0)
 
 
 def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array, whole: Body) -> Stand:
-    """The plane under the `whole` body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis `up` (3,) is
-    in `map`; as high as the median of the ground that is known there.
-    """
+    """The plane under the `whole` body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis
+    `up` (3,) is in `map`; as high as the median of the ground that is known there."""
     x, y, yaw = (float(v) for v in pose)
     c, s = math.cos(yaw), math.sin(yaw)
     across = max(float(up[2]), 0.5)
@@ -234,9 +232,8 @@ def reach_of(
 def leaves_on(
     tracks: Array, step: float, around: Surroundings, pose: tuple[float, float, float], whole: Body
 ) -> float:
-    """How far [m or rad] the `whole` body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad] in `map`
-    until a part of it is over ground under leaves; 0 where one is, infinite where it meets none.
-    """
+    """How far [m or rad] the `whole` body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad]
+    in `map` until a part of it is over ground under leaves; 0 where one is, infinite where it meets none."""
     if not (around.source == PLANTS).any():
         return math.inf
     where = around.source, *around.origin, around.resolution, *(float(v) for v in pose)
@@ -267,8 +264,8 @@ def first_leaf(tracks, source, x0, y0, resolution, x, y, yaw):  # pragma: no cov
 def height_under(
     height, x0, y0, resolution, x, y, yaw, ahead, left, length, width
 ):  # pragma: no cover - compiled
-    """Median height [m] of the known ground under a body of half the `length` and half the `width` [m], carried to its middle along the grades; NaN where nothing
-    is known."""
+    """Median height [m] of the known ground under a body of half the `length` and half the `width` [m], carried to
+    its middle along the grades; NaN where nothing is known."""
     rows, cols = height.shape
     c, s = math.cos(yaw), math.sin(yaw)
     reach = math.ceil(math.hypot(length, width) / resolution)
@@ -385,8 +382,8 @@ def nearest_obstacle(
                 plane = stand[0] + stand[1] * tracks[layer, k, i, 0] + stand[2] * tracks[layer, k, i, 1]
                 at_rim = i <= over and abs(ground[i] - rim) <= limit
                 if worst > limit and (at_rim or (i <= BEFORE and abs(ground[i] - plane) <= limit)):
-                    # The far rim, with cells half over the gap before it; under the body, where the near one may lie behind the track's begin, the
-                    # height that the robot stands at tells it.
+                    # The far rim, with cells half over the gap before it; under the body, where the near one may lie
+                    # behind the track's begin, the height that the robot stands at tells it.
                     last, level, landed, known, i = i, ground[i], i, max(known, i), i + 1
                     continue
                 if worst < -limit and not felt[i] and not math.isnan(level):

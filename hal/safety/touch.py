@@ -138,13 +138,12 @@ class TouchWatch:
 
 
 def uneven(around: Surroundings, pose: tuple[float, float, float], body: Body) -> tuple[float, float]:
-    """How far [m] the ground under the `body` and AHEAD of it, and that under it and as far behind it, lies off the plane
-    under the body.
+    """How far [m] the ground under the `body` and AHEAD of it, and that under it and as far behind it, lies off the
+    plane under the body.
 
     `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because
     the trunk is level on a slope, too. Where it stands on faces there is none, and what is told is how far the ground
-    lies off the lowest and the highest of them: all stairs under it push at a robot that climbs.
-    """
+    lies off the lowest and the highest of them: all stairs under it push at a robot that climbs."""
     x, y, yaw = (float(v) for v in pose)
     front, side, resolution = body.front, body.left, around.resolution
     reach = math.ceil(math.hypot(front + AHEAD, side + BESIDE) / resolution)

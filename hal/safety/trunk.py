@@ -1,7 +1,7 @@
 """The trunk's tilt behind the gate: a robot tilts while it stands, and is level before it drives.
 
-Level is what happens by itself: when the commands end, at a stop, at every hold, and as soon as a velocity is commanded.
-"""
+Level is what happens by itself: when the commands end, at a stop, at every hold, and as soon as a velocity is
+commanded."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from hal.safety.gate_types import GateConfig, GateInputs, Refusal, RefusalReason
 from hal.types import NS, Capabilities, PostureCommand
 
 TILT_RATE = 0.8
-"""[rad/s] at which the trunk follows, in either direction: 12 deg take 0.26 s, and sweeps of 10 Hz still lie 5 deg apart."""
+"""[rad/s] of the trunk in either direction: 12 deg take 0.26 s, and sweeps of 10 Hz still lie 5 deg apart."""
 LAG = 0.5
-"""[s] after which a trunk that is told to be level is: the simulated one follows 0.13 s late, and its last 3 deg take 0.4 s."""
+"""[s] after which a trunk that is told to be level is: the simulated one follows 0.13 s late, and its last 3 deg take
+0.4 s."""
 STANDS = 0.3
 """[s] for which the velocity has been zero before the trunk tilts."""
 AT_REST = 0.1
@@ -61,7 +62,8 @@ class TrunkTilt:
         return None
 
     def step(self, now: int, elapsed: float, inputs: GateInputs, zero_since: int | None) -> None:
-        """`elapsed` [s] since the last call; `zero_since`: the velocity has been zero as commanded from then on, None where it is not."""
+        """`elapsed` [s] since the last call; `zero_since`: the commanded velocity has been zero since then, None if
+        it is not."""
         self._obstacle = self._why_not(now, inputs, zero_since)
         if self._obstacle or not 0.0 <= (now - self._fresh_from) / NS < self._params.deadman:
             self._accepted = None

@@ -32,7 +32,8 @@ class Untold:
         """[m/s] down a slope; 0 where it does not."""
 
     def forget(self) -> None:
-        """Motion has its reason: a command, a posture, a reflex of the robot. It has time to come to rest after that."""
+        """Motion has its reason: a command, a posture, a reflex of the robot. The robot gets time to come to rest
+        after it."""
         self._since, self.creeps = None, 0.0
         self._heard.clear()
 

@@ -55,12 +55,13 @@ def load_scene(
     up: str | None = None,
     **unknown: object,
 ) -> Scene:
-    """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj, .world of the BARN challenge).
+    """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj, .world of the BARN
+    challenge).
 
-    `resolution` [m] and `height_range` [m], `units` and `up` say how to import a file, `start` where the robot starts on it (see
-    `hal.scenes.files.read_scene`). `seed` picks a maze, a lane, a place or a world of the BARN challenge; `maze:7`, `lanes:7`,
-    `places:house,7` and `barn:7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
-    """
+    `resolution` [m] and `height_range` [m], `units` and `up` say how to import a file, `start` where the robot starts
+    on it (see `hal.scenes.files.read_scene`). `seed` picks a maze, a lane, a place or a world of the BARN challenge;
+    `maze:7`, `lanes:7`, `places:house,7` and `barn:7` do the same in one word (see `hal.scenes.lanes` for more
+    words). Raises SceneError."""
     if unknown:
         raise SceneError(
             f"no scene option {', '.join(sorted(unknown))}: there are resolution, height_range, start, units, up, seed"

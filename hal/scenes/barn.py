@@ -1,9 +1,9 @@
 """Worlds of the BARN navigation challenge: a field of cylinders between two walls that a robot crosses in ten metres.
 
-Made by the published rules (Perille, Truong, Xiao and Stone 2020, "Benchmarking metric ground navigation"): a cellular
-automaton fills a grid of 30 x 30 cells of 0.15 m, each filled one is a cylinder of 0.075 m radius, and only worlds count whose
-free cells, with the robot's two cells of clearance, join both ends. Or read from the challenge's own `world_N.world` files.
-The world lies along the x axis: start at (-2, 0), goal at (8, 0), the field from 0 to 4.5.
+Made by the published rules (Perille, Truong, Xiao and Stone 2020, "Benchmarking metric ground navigation"): a
+cellular automaton fills a grid of 30 x 30 cells of 0.15 m, each filled one is a cylinder of 0.075 m radius, and only
+worlds count whose free cells, with the robot's two cells of clearance, join both ends. Or read from the challenge's
+own `world_N.world` files. The world lies along the x axis: start at (-2, 0), goal at (8, 0), the field from 0 to 4.5.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def scene_of(places: NDArray[np.float64], description: str) -> Scene:
 
 
 def shortest_way(grid: NDArray[np.bool_]) -> float:
-    """Shortest way [m] from start to goal over the cells (y, x) that the robot of the challenge may be in; infinite where
-    there is none."""
+    """Shortest way [m] from start to goal over the cells (y, x) open to the challenge's robot; infinite if there is
+    none."""
     free = ~ndimage.binary_dilation(grid, np.ones((2 * CLEARANCE + 1,) * 2, bool))
     free[:CLEARANCE] = free[-CLEARANCE:] = False  # the walls
     number = np.full(free.shape, -1)

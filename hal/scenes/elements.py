@@ -1,8 +1,8 @@
 """Elements of rescue lanes as height functions along a lane, and how hard they are for a controller.
 
-An element is drawn in lane coordinates: s [m] along the lane from the element's begin, t [m] across it from the middle, both as
-arrays. Dimensions follow the standard apparatus (half ramps of 0.6 m, bars and rails 0.10 m wide, fields of 10 x 10 posts).
-"""
+An element is drawn in lane coordinates: s [m] along the lane from the element's begin, t [m] across it from the
+middle, both as arrays. Dimensions follow the standard apparatus (half ramps of 0.6 m, bars and rails 0.10 m wide,
+fields of 10 x 10 posts)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Files that need a library of the extra `files`: LAS and LAZ clouds, GeoTIFF. And what no file says: its units, which axis is up."""
+"""Files that need a library of the extra `files`: LAS and LAZ clouds, GeoTIFF. Also the guess of units and up axis,
+which no file tells."""
 
 from __future__ import annotations
 
@@ -64,7 +65,8 @@ def _xyz(las: Any) -> tuple[Any, Any, Any]:
 def read_tif(
     path: Path, resolution: float | None
 ) -> tuple[NDArray[np.float32], float, tuple[float, float], str]:
-    """Heights (rows, cols) with row 0 in the south and NaN where the model has none, resolution [m], origin, words. Raises SceneError."""
+    """Heights (rows, cols) with row 0 in the south and NaN where the model has none, resolution [m], origin, words.
+    Raises SceneError."""
     tifffile = needs("tifffile", path)
     try:
         with tifffile.TiffFile(path) as file:
@@ -110,8 +112,8 @@ def read_tif(
 
 
 def understood(geometry: Geometry, units: str | None, up: str | None, local: bool = False) -> Taken:
-    """In metres, z up, near the origin. `units`, `up`: as the operator says, None: guessed from the extent. `local`: the file has a place on earth,
-    so it is metres with z up. Raises SceneError."""
+    """Bring geometry to metres, z up, near the origin. `units`, `up`: from the operator; None: guessed from the
+    extent. `local`: the file has a place on earth, so it is metres with z up. Raises SceneError."""
     if units is not None and units not in UNITS:
         raise SceneError(f"units are {', '.join(UNITS)}, got {units!r}")
     if up is not None and up not in UPS:

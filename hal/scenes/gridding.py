@@ -18,7 +18,8 @@ MAX_FACED = 20 * MAX_CELLS
 MAX_COORDINATE = 10_000.0
 """[m]; beyond, single precision no longer holds a millimetre."""
 HEADROOM = 0.8
-"""Free height [m] over ground under a ceiling; what hangs lower stands on the ground. As `clearance` of the elevation map."""
+"""Free height [m] over ground under a ceiling; what hangs lower stands on the ground. As `clearance` of the elevation
+map."""
 SAME = 1e-3
 """Surfaces closer above one another than this are one [m]."""
 CLEARANCE = 0.45
@@ -32,12 +33,12 @@ STEP = 0.08
 def grid(
     geometry: Geometry, resolution: float, name: str
 ) -> tuple[NDArray[np.float32], tuple[float, float], bool]:
-    """The ground of each cell: height (rows, cols) [m] with NaN where nothing was, the origin, and whether a mesh goes on above it.
+    """The ground of each cell: height (rows, cols) [m] with NaN where nothing was, the origin, and whether a mesh
+    goes on above it.
 
     Of points, the highest is the ground. Of a mesh, it is the lowest surface that faces up and has HEADROOM below the
     next one, which must face down (a ceiling, a bridge): faces run counterclockwise seen from the free side, as
-    modelling programs write them. Where there is none, the highest surface is the ground.
-    """
+    modelling programs write them. Where there is none, the highest surface is the ground."""
     if np.abs(geometry.vertices).max() > MAX_COORDINATE:
         raise SceneError(
             f"{name}: points lie more than {MAX_COORDINATE / 1000:.0f} km from the origin: shift the file to a local frame"

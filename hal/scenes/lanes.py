@@ -1,14 +1,13 @@
 """Rescue lanes without end: one from every seed, graded by what a controller can drive.
 
-`lanes:17` is a name; `lanes:17,level=4,controller=policy,map=bars` says more. Lanes are 1.1 to 1.2 m wide between walls of 0.5 m and
-come as one straight lane (`single`), two beside each other that overlap (`double`), one that comes back (`folded`), and the same with
-a dead end (`fork`). Forty seeds in a row hold every layout with every kind of element once. Level 1 asks for a third of the
-controller's envelope, level 4 for all of it. In level 5 one element of the way is beyond what the controller's capabilities allow:
-such a lane must be refused.
+`lanes:17` is a name; `lanes:17,level=4,controller=policy,map=bars` says more. Lanes are 1.1 to 1.2 m wide between
+walls of 0.5 m and come as one straight lane (`single`), two beside each other that overlap (`double`), one that comes
+back (`folded`), and the same with a dead end (`fork`). Forty seeds in a row hold every layout with every kind of
+element once. Level 1 asks for a third of the controller's envelope, level 4 for all of it. In level 5 one element of
+the way is beyond what the controller's capabilities allow: such a lane must be refused.
 
-docs/measurements/results.md names the first seeds that nobody has driven: they are neither run nor drawn nor looked at before a result is taken, and no test
-uses seeds from 200 on.
-"""
+docs/measurements/results.md names the first seeds that nobody has driven: they are neither run nor drawn nor looked at
+before a result is taken, and no test uses seeds from 200 on."""
 
 from __future__ import annotations
 
@@ -46,7 +45,8 @@ PAUSE = 0.4
 LANDING = 1.2
 """Level ground on which the robot changes from one lane to the other [m]."""
 MARGIN, FENCE = 1.0, 1.2
-"""Floor around the lanes and height of the fence around it [m]: without a hall the odometry sees two parallel walls only."""
+"""Floor around the lanes and height of the fence around it [m]: without a hall the odometry sees two parallel walls
+only."""
 GRAIN = (0.002, 0.006)
 """Relief of the floor itself [m], on a grain of 0.2 m."""
 LAYOUTS = ("single", "double", "folded", "fork")
@@ -137,7 +137,8 @@ class _Course:
 
 
 def lane(seed: int, *, level: int = 2, controller: str = "vmc", map: str = "") -> Lane:
-    """The lane of a seed. `map`: a name in `hal.scenes.elements.MAPS` or `mixed`; empty: the seed's own. Raises SceneError."""
+    """The lane of a seed. `map`: a name in `hal.scenes.elements.MAPS` or `mixed`; empty: the seed's own. Raises
+    SceneError."""
     kinds = (*MAPS, "mixed")
     if map not in ("", *kinds):
         raise SceneError(f"lanes have no map {map!r}: use one of {', '.join(kinds)}")

@@ -211,7 +211,8 @@ def _pcd(data: bytes) -> Geometry:
 
 
 def lzf(data: bytes, size: int) -> bytes:
-    """What LZF packed, `size` bytes. Raises ValueError. The format: below 32, so many bytes and one as they are; else a copy of 3 to 264 bytes from up to 8 kB before."""
+    """Unpack LZF to `size` bytes. Raises ValueError. Format: a byte below 32 announces that many bytes and one,
+    verbatim; otherwise a copy of 3 to 264 bytes from up to 8 kB before."""
     out, at = bytearray(), 0
     while at < len(data) and len(out) <= size:
         control = data[at]

@@ -1,7 +1,7 @@
 """Four benchmark scenes built from the dimensions of rescue-robot test lanes (RoboCup Rescue, ASTM E54, NIST).
 
-Each has forty start and goal pairs, the first ten are those of the studies, and a survey with unseen cells; the numbers below are metres unless said.
-"""
+Each has forty start and goal pairs, the first ten are those of the studies, and a survey with unseen cells; the
+numbers below are metres unless said."""
 
 from __future__ import annotations
 
@@ -41,9 +41,8 @@ def _finish(
     grazing: float,
     relief: float = 0.45,
 ) -> Scene:
-    """Survey, queries and the scene. `grazing` [deg] is the flattest look that still measures a height: chosen so that about a
-    tenth of the ground along the pairs stays unseen, as in the published benchmark.
-    """
+    """Survey, queries and the scene. `grazing` [deg] is the flattest look that still measures a height: chosen so
+    that about a tenth of the ground along the pairs stays unseen, as in the published benchmark."""
     surface = Surface(canvas.array(), canvas.resolution, canvas.origin)
     x0, y0 = canvas.origin
     x1, y1 = float(canvas.x[0, -1]), float(canvas.y[-1, 0])
@@ -71,7 +70,8 @@ def _quarters(canvas: Canvas, x: float, y: float, uphill: Quadrants, base: Seque
 
 
 def slopes() -> Scene:
-    """8.4 x 3.6: one lane of continuous 15 deg ramps beside one of crossing half ramps with a pinwheel; linked at both ends."""
+    """8.4 x 3.6: one lane of continuous 15 deg ramps beside one of crossing half ramps with a pinwheel; linked at
+    both ends."""
     canvas = Canvas((0.0, 8.4, 0.0, 3.6), RESOLUTION)
     for k in range(5):
         x = TILE * (1 + k)

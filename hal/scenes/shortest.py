@@ -13,11 +13,11 @@ AROUND = 16
 
 
 def shortest(walls: Points, start: tuple[float, float], goal: tuple[float, float], clearance: float) -> float:
-    """Length [m] of the shortest way from start to goal that keeps `clearance` [m] from all walls; infinite without one.
+    """Length [m] of the shortest way from start to goal that keeps `clearance` [m] from all walls; infinite without
+    one.
 
-    `walls` (n, 5): x, y of both ends and thickness [m]. Exact but for the polygons round the walls' ends: at most 2 % of
-    such an arc too long.
-    """
+    `walls` (n, 5): x, y of both ends and thickness [m]. Exact but for the polygons round the walls' ends: at most 2 %
+    of such an arc too long."""
     a, b, reach = walls[:, :2], walls[:, 2:4], clearance + 0.5 * walls[:, 4]
     angle = 2.0 * pi * np.arange(AROUND) / AROUND
     ring = np.column_stack([np.cos(angle), np.sin(angle)]) / cos(pi / AROUND)

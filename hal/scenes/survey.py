@@ -87,11 +87,11 @@ def draw_pairs(
     highest: float = 1.2,
     must: Sequence[tuple[float, float, float, float]] = (),
 ) -> tuple[Pair, ...]:
-    """Start and goal pairs inside `lanes` (x_min, x_max, y_min, y_max), `length` [m] apart; the first ones do not depend on `count`.
+    """Start and goal pairs inside `lanes` (x_min, x_max, y_min, y_max), `length` [m] apart; the first ones do not
+    depend on `count`.
 
     Endpoints keep 0.26 m from anything `highest` [m] above or below them. Pair number k starts inside `must[k]` when
-    there is one: elements that the benchmark wants an endpoint on.
-    """
+    there is one: elements that the benchmark wants an endpoint on."""
     random = np.random.default_rng(seed)
     room = relief(surface.height, round(0.26 / surface.resolution))
 

@@ -40,7 +40,8 @@ def flat() -> Scene:
 
 
 def field(sight: str = "") -> Scene:
-    """48 x 48 m of level ground, farther than the LiDAR is used: nothing in sight, one wall ("wall") or two far posts ("posts")."""
+    """48 x 48 m of level ground, farther than the LiDAR is used: nothing in sight, one wall ("wall") or two far posts
+    ("posts")."""
     canvas = Canvas((-24.0, 24.0, -24.0, 24.0), 0.05)
     if sight == "wall":
         canvas.box((-24.0, 24.0, 8.0, 8.4), 1.5)

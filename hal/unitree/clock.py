@@ -8,8 +8,8 @@ from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP
 from hal.types import NS
 
 SUPPORT, RECENT = 3, 10
-"""A message is never received before it was stamped, so the smallest difference of both counts. One wrong stamp must not: it is the
-smallest but two of the last ten readings of the link."""
+"""A message is never received before it was stamped, so the smallest difference of both counts. A single wrong stamp
+must not count: the third smallest of the last ten readings is taken."""
 ON_TIME = NS // 20
 """[ns] of delay beyond the shortest: what network and polling add when all is well. Later is late."""
 HOLE = NS // 10
@@ -19,13 +19,14 @@ HOLE = NS // 10
 class RemoteClock:
     """Offset from a remote clock to ours, from stamps and receive times.
 
-    The offset is the smallest receive-minus-stamp. Once known it grows no faster than two crystals part (`CLOCK_DRIFT`), and not at all while
-    messages are late: what comes later was delayed, and its stamp tells its true age. What comes earlier is followed.
+    The offset is the smallest receive-minus-stamp. Once known it grows no faster than two crystals drift apart
+    (`CLOCK_DRIFT`), and not at all while messages are late: a late message was delayed, and its stamp tells its true
+    age. An earlier one is followed.
 
-    A delay cannot make stamps go back, nor can it make them come too close. Where they do, that clock stepped. It is followed once some
-    messages in a row confirm it; a source that `answers` requests is asked first: `doubtful` says so, `restart` ends it. A step during
-    which nothing came looks like a delay. It stays one, unless a source that answers shows that the way is short.
-    """
+    A delay cannot make stamps go back or come too close. If they do, that clock stepped. The step is followed once
+    some messages in a row confirm it. A source that `answers` requests is asked first: `doubtful` says so, `restart`
+    ends it. A step while nothing came looks like a delay. It stays one, unless a source that answers shows that the
+    way is short."""
 
     def __init__(self, *, answers: bool = False) -> None:
         """`answers`: of the motion computer, whose requests have a round trip."""
@@ -54,10 +55,10 @@ class RemoteClock:
         """Differences of the last messages, in a row, whose stamps went back."""
 
     def hear(self, stamp: int, received: int, stream: str = "", gap: int = 1) -> bool:
-        """Take a remote stamp and its receive time [ns]. Whether it can be believed: not one that went back, nor one from the future.
+        """Take a remote stamp and its receive time [ns]. Returns whether it can be believed: no stamp that went back,
+        none from the future.
 
-        `gap` [ns]: stamps of this stream do not follow closer than that.
-        """
+        `gap` [ns]: stamps of this stream do not follow closer than that."""
         difference = received - stamp
         last = self._newest.get(stream)
         if last is not None and CLOCK_STEP.active and self._went_back(difference, stamp < last + gap, stream):

@@ -113,7 +113,8 @@ def decode_cloud(data: bytes) -> RawCloud:
 
 @njit(cache=True)
 def _pack(x, y, z, intensity, ring, time, near, far, out):  # type: ignore[no-untyped-def]
-    """Copy the points that are finite, within range and of a time, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
+    """Copy the points that are finite, within range and within the sweep, rounded as POINT_DTYPE says; returns how
+    many."""
     n = 0
     for i in range(x.size):
         squared = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
@@ -131,7 +132,8 @@ def _pack(x, y, z, intensity, ring, time, near, far, out):  # type: ignore[no-un
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What of a LiDAR's returns to keep, by their distance [m]. Those from the robot itself the odometry takes out (`mapping.odometry.own`)."""
+    """Which returns of a LiDAR to keep, by distance [m]. Odometry removes those from the robot itself
+    (`mapping.odometry.own`)."""
 
     min_range: float = 0.2
     max_range: float = 30.0
@@ -140,10 +142,11 @@ class Limits:
 def sweep(
     cloud: RawCloud, limits: Limits, unit: float | None = None
 ) -> tuple[int, NDArray[np.void], float | None]:
-    """Start of the sweep [ns, LiDAR clock], its valid returns as `POINT_DTYPE` in the LiDAR frame, and the unit of its times.
+    """Start of the sweep [ns, LiDAR clock], its valid returns as `POINT_DTYPE` in the LiDAR frame, and the unit of
+    its times.
 
-    `unit` [s]: that of a sweep before, None before the first with enough points. Raises WireError for times of no sweep.
-    """
+    `unit` [s]: that of a sweep before, None before the first with enough points. Raises WireError for times of no
+    sweep."""
     raw = cloud.points
     names = raw.dtype.names or ()
     n = len(raw)
@@ -187,7 +190,8 @@ def _times(
         times = sweep_times(field, hit, 1e-9 if name == "offset_time" else unit, cloud.stamp)
     except TimesError as error:
         raise WireError(POINT_TIMES.tell(field=name, held=error)) from error
-    # Relative to the header, or the LiDAR's own clock, which may have booted in 1970. Single precision is too coarse for a clock.
+    # Relative to the header, or the LiDAR's own clock, which may have booted in 1970. Single precision is too coarse
+    # for a clock.
     first = times.first
     relative = abs(first) < RELATIVE * NS and not abs(first - cloud.stamp) < abs(first)
     if raw.dtype[name] == np.float32 and not relative:

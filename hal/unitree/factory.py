@@ -43,9 +43,8 @@ def make_backend(
 ) -> Backend:
     """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given.
 
-    controller, policy: of level low, see `hal.robots.go2w.locomotion.controllers`. Raises MissingExtra, or BackendError for an
-    unusable interface.
-    """
+    controller, policy: of level low, see `hal.robots.go2w.locomotion.controllers`. Raises MissingExtra, or
+    BackendError for an unusable interface."""
     check(interface)
     from hal.unitree.config import UnitreeConfig
 

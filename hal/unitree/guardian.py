@@ -7,9 +7,9 @@ ends with its parent.
 
 It hears the robot's own motion: what counts is rest, not the answer (`hal.unitree.motion`).
 
-Input, one byte each: `m` alive and moving, `i` alive and at rest, `s` stop now, `d` damp now, `e` the robot is told something
-else, leave off; end of file: the driver is gone. Output: `r` once the robot's sport service is in reach, then `.` ten times a second.
-"""
+Input, one byte each: `m` alive and moving, `i` alive and at rest, `s` stop now, `d` damp now, `e` the robot is told
+something else, leave off; end of file: the driver is gone. Output: `r` once the robot's sport service is in reach,
+then `.` ten times a second."""
 
 from __future__ import annotations
 
@@ -101,7 +101,8 @@ class Guardian:
                 self._heard = time.monotonic()
 
     def alive(self) -> bool:
-        """Whether the process runs and has shown a sign within `LOST`; at its start it has `START` to get ready. Never blocks."""
+        """Whether the process runs and has shown a sign within `LOST`; at its start it has `START` to get ready.
+        Never blocks."""
         self._listen()
         now = time.monotonic()
         if self._process.poll() is not None or (not self.ready and now - self._started > START):
@@ -226,7 +227,8 @@ def motion_topics() -> list[tuple[str, Any, int]]:
 
 
 def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
-    """Read `orders` and write to `signs` (descriptors) as told above, until either is at its end and the last order is through."""
+    """Read `orders` and write to `signs` (descriptors) as told above, until either ends and the last order is
+    through."""
     order = Order(link, avoid)
     moving, ended, ready = False, False, False
     own = False  # the order is ours, for a silent driver: not what it asked for

@@ -210,9 +210,8 @@ def low_cmd_checksum(data: bytes) -> int:
 def _checked(cdr: np.dtype[np.void], c: np.dtype[np.void]) -> NDArray[np.intp]:
     """Where in a message the bytes of the checksum stand, in its order: words of the C struct, high byte first.
 
-    Padding, which CDR has not, is taken from the message's first byte, which is 0. Found by copying a message whose bytes
-    are their own places, low and high byte in turn.
-    """
+    Padding, which CDR has not, is taken from the message's first byte, which is 0. Found by copying a message whose
+    bytes are their own places, low and high byte in turn."""
     places = np.arange(4, 4 + cdr.itemsize)
     found = np.zeros(c.itemsize, np.intp)
     for shift in (0, 8):

@@ -112,7 +112,8 @@ class LidarInput:
         return ""
 
     def _count_missed(self, start: int, duration: int) -> None:
-        """`start`, `duration` [ns] of a sweep; one follows the other. Beyond a gap of 2 s it was silent or its clock was set."""
+        """`start`, `duration` [ns] of a sweep; one follows the other. Beyond a gap of 2 s it was silent or its clock
+        was set."""
         if self._start is not None and duration > 0 and 0 < (gap := start - self._start) < 2 * NS:
             self.missed += max(0, round(gap / duration) - 1)
         self._start = start

@@ -1,8 +1,7 @@
 """`CustomMsg` of livox_ros_driver2, which a Mid-360 on hardware usually sends: CDR bytes to a `RawCloud` and back.
 
-Facts of the type: std_msgs/Header, uint64 timebase, uint32 point_num, uint8 lidar_id, uint8[3] rsvd, then the points. `timebase` [ns] is
-the LiDAR's time of the first point, `offset_time` [ns] counts from there.
-"""
+Facts of the type: std_msgs/Header, uint64 timebase, uint32 point_num, uint8 lidar_id, uint8[3] rsvd, then the points.
+`timebase` [ns] is the LiDAR's time of the first point, `offset_time` [ns] counts from there."""
 
 from __future__ import annotations
 

@@ -41,8 +41,8 @@ PATIENCE = 1.5
 WAY = 0.3
 """[m] that a slow robot rolls before Damp."""
 FASTEST = 1.5
-"""[m/s] Damp drops the trunk onto its belly. From here v^2 / 2g = 0.11 m, less than half of what it takes to lift the centre of mass
-over the front edge (0.35 m ahead, 0.08 m high: 0.28 m). A faster robot could go head over heels."""
+"""[m/s] Damp drops the trunk onto its belly. From here v^2 / 2g = 0.11 m, less than half of what it takes to lift the
+centre of mass over the front edge (0.35 m ahead, 0.08 m high: 0.28 m). A faster robot could go head over heels."""
 STEEPEST = math.radians(15.0)
 """[rad] On its belly a robot slides where the slope is steeper than its friction: 0.4 holds up to 22 deg."""
 INSIST = 1.0
@@ -101,10 +101,10 @@ class Motion:
         self.remote = remote(low)
 
     def speed(self, now: float) -> float | None:
-        """Mean [m/s] of the last `WINDOW`, half the yaw rate where that is more; None where it is not heard.
+        """Mean [m/s] of the last `WINDOW`, or half the yaw rate if that is more; None if nothing is heard.
 
-        Wheels and the robot's estimate must agree, the slower counts: a wheel that spins or an estimate that drifts is no motion.
-        """
+        Wheels and the robot's estimate must agree, and the slower counts: a spinning wheel or a drifting estimate is
+        no motion."""
         if not self._kept or not 0.0 <= now - self._kept[-1][0] < OLD:
             return None
         _, wheels, x, y, turn = np.mean(self._kept, axis=0)

@@ -2,13 +2,13 @@
 
     python -m hal.unitree.sentry eth0
 
-The robot holds the last Move for a second. The guardian beside the driver shortens that when the driver dies, but it dies
-with its computer and is cut off with its cable. This process runs on the robot's side of the cable, for example on the
-onboard computer. It hears the same Moves that the robot hears; when they cease without a stop it sends StopMove until the
-robot rests, and Damp where it rolls on (`hal.unitree.motion`). It asks nothing of the driver and never moves the robot.
+The robot holds the last Move for a second. The guardian beside the driver shortens that when the driver dies, but it
+dies with its computer and is cut off with its cable. This process runs on the robot's side of the cable, for example
+on the onboard computer. It hears the same Moves that the robot hears; when they cease without a stop it sends
+StopMove until the robot rests, and Damp where it rolls on (`hal.unitree.motion`). It asks nothing of the driver and
+never moves the robot.
 
-It is the one module of this library with a command line: the robot's computer needs nothing of the stack but this.
-"""
+It is the one module of this library with a command line: the robot's computer needs nothing of the stack but this."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ ENDS = (
     api.Sport.STAND_DOWN,
     api.Sport.RECOVERY_STAND,
 )
-"""What ends a Move. The rest may come from programs that set something else, or ask: a StopMove too many does no harm."""
+"""Calls that end a Move. The rest may come from programs that set something else, or ask: one StopMove too many does
+no harm."""
 POLL = 0.01
 """[s]"""
 

@@ -15,7 +15,7 @@ LASTS = NS
 
 
 class Turns:
-    """Publishers of one topic. A publisher that was restarted never speaks through its old self again; two robots do."""
+    """Publishers of one topic. A restarted publisher never speaks through its old self again; two robots do."""
 
     def __init__(self) -> None:
         self._speaker: Speaker | None = None

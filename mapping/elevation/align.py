@@ -1,9 +1,8 @@
 """Scans laid onto a prior map: height and slope of the poses against it.
 
-An accelerometer's bias of 0.03 m/s^2 looks like a tilt of 0.2 deg, so poses that are right against the odometry's own map lie centimetres
-above or below a prior map some metres on. The prior map knows the level: each scan is compared with its heights, and a plane
-(height at the robot, slopes along x and y) is taken out of the poses, bit by bit.
-"""
+An accelerometer bias of 0.03 m/s^2 looks like a tilt of 0.2 deg. So poses that fit the odometry's own map lie
+centimetres above or below a prior map some metres away. Each scan is compared with the heights of the prior map. A
+plane (height at the robot, slopes along x and y) is taken out of the poses, bit by bit."""
 
 from __future__ import annotations
 
@@ -30,7 +29,8 @@ LEVEL_OFF = 0.05
 
 
 class Alignment:
-    """The plane between the poses and a prior map. Without one it stays zero, but for what else is put into `height`."""
+    """The plane between poses and prior map. Without a prior map it stays zero, except for what else is added to
+    `height`."""
 
     def __init__(self) -> None:
         self.height = 0.0
@@ -50,7 +50,8 @@ class Alignment:
     def place(
         self, turned: NDArray[np.float64], place: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation (3,3) and position (3,) of a pose, corrected. The height is carried along the slopes to where the robot is."""
+        """Rotation (3,3) and position (3,) of a pose, corrected. The height is carried along the slopes to where the
+        robot is."""
         if self.active and self.slopes.any():
             self.height += float(self.slopes @ (place[:2] - self._at))
             turned = rotation_rpy(self.slopes[1], -self.slopes[0], 0.0) @ turned
@@ -67,10 +68,11 @@ class Alignment:
         resolution: float,
         gain: float,
     ) -> bool:
-        """Move the plane by a share `gain` of what one scan lies off the prior map; the first scans count in full.
+        """Move the plane by the share `gain` of the offset between one scan and the prior map; the first scans count
+        in full.
 
-        which (k,) and sums (k, 8): the scan, see `fusion.reduce_cells`. Returns whether the scan has to be placed again: the first one.
-        """
+        which (k,) and sums (k, 8): the scan, see `fusion.reduce_cells`. Returns True if the scan must be placed
+        again: the first one."""
         off = _over_ground(which, sums, store.level, store.shift)
         level = self._take_level(off) if self._taken == 0 else np.float32(0.0)
         off -= level
@@ -85,7 +87,8 @@ class Alignment:
         return self._taken == 1
 
     def _take_level(self, off: NDArray[np.float32]) -> np.float32:
-        """Take the level of a prior map that counts from another start; -> how much higher [m] the scan lay. off: see `_over_ground`."""
+        """Take the level of a prior map that counts from another start. Returns how much higher the scan lay [m].
+        off: see `_over_ground`."""
         told = off[np.isfinite(off)]
         if len(told) < ENOUGH:
             return np.float32(0.0)
@@ -99,10 +102,10 @@ class Alignment:
 
 @njit(cache=True)
 def _over_ground(which, sums, known, shift):  # pragma: no cover - compiled
-    """(k,) how much higher than the prior map's heights `known` the cells of a scan lie [m]; NaN where that is no flat ground.
+    """(k,) how much higher than the prior map's heights `known` the cells of a scan lie [m]; NaN where the ground is
+    not flat.
 
-    The scan meets a wall below its top, so a wall tells no height, and in a lane most of a scan is walls.
-    """
+    A scan meets a wall below its top, so a wall tells no height. In a lane most of a scan is walls."""
     size = np.int64(1) << shift
     off = np.full(len(which), np.nan, np.float32)
     for s in range(len(which)):
@@ -124,8 +127,8 @@ def _over_ground(which, sums, known, shift):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def _normal_equations(off, which, tiles, shift, at, resolution):  # pragma: no cover - compiled
-    """Least squares of a scan's heights `off` (k,) over the prior map, height + slopes . (x, y from `at` (2,)): number of cells compared,
-    sum of their weights, matrix (3, 3), right side (3,)."""
+    """Least squares of a scan's heights `off` (k,) over the prior map, height + slopes . (x, y from `at` (2,)):
+    number of cells compared, sum of their weights, matrix (3, 3), right side (3,)."""
     n, total = 0, 0.0
     a, b = np.zeros((3, 3)), np.zeros(3)
     j = np.ones(3)

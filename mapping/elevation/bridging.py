@@ -1,13 +1,13 @@
 """Bridging the gaps between LiDAR rings.
 
-A 16-ring LiDAR at 0.5 m height draws rings 0.3 m apart at 2 m and 0.6 m apart at 3 m; a robot that stands still would
-live in a world of thin trusted circles. A gap along a row, a column or a diagonal is bridged when its two ends are
-trusted and fit one slope, and every cell in it carries a certificate: a ray passed low over it (so nothing tall stands
-there) and none passed below the bridge (that would be a hole). Shadows, which no ray crossed, stay unknown.
+A 16-ring LiDAR at 0.5 m height draws rings 0.3 m apart at 2 m and 0.6 m apart at 3 m. A robot that stands still would
+know only thin trusted circles. A gap along a row, a column or a diagonal is bridged if its two ends are trusted and
+fit one slope. Every cell in it needs two certificates. A ray passed low over it, so nothing tall stands there. No ray
+passed below the bridge, which would be a hole. Shadows, which no ray crossed, stay unknown.
 
-A wall that one ring meets far away scatters into the cells before it, at the ring's height. Where their ground was never seen they look
-like ground. So nothing that ends at a wall is bridged from the cells before another one: in a corner that would be a floor in the air.
-"""
+A wall that one ring meets far away scatters into the cells before it, at the ring's height. Where the ground was
+never seen these cells look like ground. So nothing that ends at a wall is bridged from the cells before another wall:
+in a corner that would be a floor in the air."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from hal.kernels import borrows, inlined
 
 WHEELS, PLANTS, OVER, BESIDE, ASSUMED = 1, 5, 6, 7, 8
-"""`source` of cells that wheels stood on, of ground under leaves, of bridged ones, of bridged ones beside the wheels (no ray comes low there, so
-what goes on from them keeps the looser rule), and of those in a gap in which a pit may hide."""
+"""`source` of cells: stood on by wheels; ground under leaves; bridged; bridged beside the wheels; bridged over a gap
+that may hide a pit. No ray comes low beside the wheels, so bridges that start there keep the looser rule."""
 RIM = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
 WALL, BEFORE = 0.2, 2
@@ -30,8 +30,8 @@ SPREAD = 3.0
 
 @borrows
 def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
-    """Steps from (r, c) along (dr, dc) to the first known cell at least `reach` steps off; 0 when none is trusted within
-    `widest` steps."""
+    """Steps from (r, c) along (dr, dc) to the first known cell at least `reach` steps away; 0 if none within `widest`
+    steps is trusted."""
     rows, cols = source.shape
     for k in range(reach, widest + 1):
         a, b = r + k * dr, c + k * dc
@@ -66,7 +66,8 @@ def _ends_at_wall(height, r, c, dr, dc):  # pragma: no cover
 
 @inlined
 def _stray(height, count, r, c, r0, r1, c0, c1, settled, alone, agree):  # pragma: no cover
-    """Whether the LiDAR cell (r, c) of few points is stray, by its neighbours from row r0 and column c0 up to before r1 and c1; see `trust`."""
+    """Whether the LiDAR cell (r, c) of few points is stray; its neighbours are rows r0 to r1 - 1, columns c0 to c1 -
+    1. See `trust`."""
     h = height[r, c]
     # No processor can predict how neighbours compare: no branches, and no test for negative indices.
     if count[r, c] < settled:
@@ -95,16 +96,21 @@ def _stray(height, count, r, c, r0, r1, c0, c1, settled, alone, agree):  # pragm
 def trust(
     height, variance, upper, count, source, v_max, settled, alone, agree, hole, bound
 ):  # pragma: no cover
-    """Which cells to believe (rows, cols) bool: wheel cells, ground under leaves, and LiDAR cells certain enough (`v_max` [m^2]).
+    """Cells to trust (rows, cols) bool: wheel cells, ground under leaves, and LiDAR cells certain enough (`v_max`
+    [m^2]).
 
-    A wheel cell that a ray passed under by `hole` [m] is none: the support plane went on over an edge. It is erased too.
-    A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
-    once, but so do mixed pixels, which hang in the air behind edges. So more neighbours must agree than lie lower, and before a wall
-    they need `alone` points themselves. A cell of fewer than `alone` points is stray, too, where all its settled neighbours lie lower,
-    or where it has no neighbour that reaches it: a robot that looks at an edge for long collects mixed pixels one by one, a post gives several
-    in each scan. Stray cells are erased from `height` and `source`. The ground is not above such a point by more than `SPREAD` of its
-    standard deviations: `bound` is `upper` with these, for `bridge`.
-    """
+    A wheel cell under which a ray passed by `hole` [m] is not trusted and is erased: the support plane went on over
+    an edge.
+
+    A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]. Far rings hit each
+    cell once, but so do mixed pixels, which hang in the air behind edges. So more neighbours must agree than lie
+    lower. Before a wall the neighbours need `alone` points themselves.
+
+    A cell of fewer than `alone` points is stray if all its settled neighbours lie lower, or if no neighbour reaches
+    it. A robot that looks at an edge for long collects mixed pixels one by one; a post gives several in each scan.
+
+    Stray cells are erased from `height` and `source`. The ground is not above such a point by more than `SPREAD`
+    standard deviations: `bound` is `upper` with these bounds, for `bridge`."""
     rows, cols = height.shape
     out = np.zeros((rows, cols), dtype=np.bool_)
     none = np.empty(
@@ -159,8 +165,8 @@ def _most(rule, squared):  # pragma: no cover
 
 @njit(cache=True)
 def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, found):  # pragma: no cover
-    """One pass over the cells in memory order: each trusted cell looks back along its row, column and both diagonals to the
-    last known one. Where that is trusted too, the unknown cells between them are bridged; see `bridge`."""
+    """One pass over the cells in memory order. Each trusted cell looks back along its row, its column and both
+    diagonals to the last known cell. If that is trusted too, the unknown cells between are bridged; see `bridge`."""
     rows, cols = source.shape
     resolution, widest_gap, rise, steepest, bound, hole, beside, widest_trusted = (
         rule[0], rule[1], rule[2], rule[3], rule[4], rule[5], rule[6] > 0.0, rule[7],
@@ -170,7 +176,8 @@ def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, foun
     falling = np.full(rows + cols, far, dtype=np.int32)
     rising = np.full(rows + cols, far, dtype=np.int32)
     straight, oblique = _most(rule, 1.0), _most(rule, 2.0)
-    # Pairs of a row: column, steps back, step in rows and in columns. They are looked at in a loop of their own: a call for each takes longer.
+    # Pairs of a row: column, steps back, step in rows and in columns. A loop of their own is faster than a call for
+    # each pair.
     pairs = np.empty((4 * cols, 4), np.int32)
     for r in range(rows):
         last = far
@@ -260,8 +267,8 @@ def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, foun
 
 @njit(cache=True)
 def _drop_rims(height, source, trusted, level, holes, depth):  # pragma: no cover
-    """Unbridge what lies within `depth` unknown cells of the proven `holes` (n,), flat indices: beside the near edge of one no ray
-    comes low enough to tell. `level` (rows, cols) is scratch."""
+    """Remove bridges within `depth` unknown cells of the proven `holes` (n,), flat indices: near the edge of a hole
+    no ray comes low enough to prove it. `level` (rows, cols) is scratch."""
     rows, cols = source.shape
     level[:] = 0
     queue = np.empty(source.size, np.int32)
@@ -292,13 +299,16 @@ def _drop_rims(height, source, trusted, level, holes, depth):  # pragma: no cove
 def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no cover
     """Bridge in place: height, source (OVER, BESIDE or ASSUMED) and trusted of bridged cells.
 
-    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR, 5 plants),
-    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (0: as everywhere), widest gap that is trusted
-    (all metres): a wider one, over which rays pass low but into which none fell, has a height and no trust.
-    out, gap (rows, cols) f32 and marks (3, rows, cols) u8 are scratch. Of several bridges over a cell the shortest wins;
-    a bridge one or two cells wide is a coincidence between unlike surfaces and dropped. A second round from the bridged
-    cells closes what the eight directions left open.
-    """
+    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR, 5
+    plants), trusted bool.
+
+    rule, all metres: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (0: as
+    everywhere), widest trusted gap. A wider gap over which rays pass low gets a height but no trust.
+
+    out, gap (rows, cols) f32 and marks (3, rows, cols) u8 are scratch.
+
+    Of several bridges over a cell the shortest wins. A bridge one or two cells wide is a coincidence between unlike
+    surfaces and is dropped. A second round from the bridged cells closes what the eight directions left open."""
     rows, cols = height.shape
     kind, holes, level = marks[0], marks[1], marks[2]
     holes[:] = 0

@@ -1,4 +1,5 @@
-"""Parameters of the elevation map. Defaults fit a robot of 0.7 m with a 16-ring LiDAR; few of them ever need a change."""
+"""Parameters of the elevation map. The defaults fit a robot of 0.7 m with a 16-ring LiDAR; few of them ever need a
+change."""
 
 from __future__ import annotations
 

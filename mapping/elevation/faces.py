@@ -1,9 +1,9 @@
 """Which cells a face fills: a cell is wall only if most of it is.
 
-A wall's surface lies anywhere in a cell, and range noise scatters its points into the cell before it. Taken as they fall, both cells
-become wall, and a lane loses up to 9 cm a side. Here the front cell of a face keeps it if the face lies in the near half of the
-cell; otherwise the face belongs to the cell behind. That holds for faces that go on to both sides; a pole stays where it is seen.
-"""
+A wall's surface lies anywhere in a cell, and range noise scatters its points into the cell before it. Taken as they
+fall, both cells become wall, and a lane loses up to 9 cm a side. Here the front cell keeps the face if the face lies
+in the near half of the cell. Otherwise the face belongs to the cell behind. This holds for faces that continue to
+both sides; a pole stays where it is seen."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ PASSES = 2
 SIDEWAYS = 0.02
 """Share of the view direction along an axis below which a cell has no front on it."""
 X, Y, RIM, FACE, FACE_X, ALL_X = 0, 1, 2, 3, 4, 6
-"""Columns of a face, one cache line: middle of its cell [m]; height below which a point lies on the face alone [m], their number; sums of x and y from the
-middle, of those and of the points on face and top."""
+"""Columns of a face, one cache line: middle of its cell [m]; height [m] below which a point lies on the face alone,
+and the number of such points; sums of x and y from the middle, over these points and over the points on face and top.
+"""
 
 
 @borrows
@@ -37,17 +38,17 @@ def fill_faces(
     z, weight, shared, slot, m, ends, ray, sensor, band, resolution, directory, first, tiles, shift,
     cells, mark, which, sums, k,
 ):  # fmt: skip  # pragma: no cover
-    """Hand faces whose points lie in the far half of their cell to the cell behind; see the module.
+    """Move faces whose points lie in the far half of their cell to the cell behind; see the module.
 
-    z, weight, shared (m,): the points of one scan, see `fusion.project`; slot (m,): row of each in which (k,), sums (k, 8) of
-    `fusion.reduce_cells`; ray (m,): row of each in ends (q, 3), world; sensor (3,) world; directory, first, tiles, shift: of the tile
-    store; mark: scratch of `reduce_cells`, as it left it.
-    A cell that hands its face on keeps its foot where the cell before it is as high, else the scan says nothing of it. Points within `band` of the top
-    are not of the face: a box has a top. Returns the new number of rows k.
-    """
-    # Few cells are tall or unknown, and their points are few: both are listed without a branch, because no processor can
-    # predict which they are, and all the rest is worked out for those alone.
-    # the ground that a face stands on: seen in this scan, known in the cell, or in the cells before it
+    z, weight, shared (m,): points of one scan, see `fusion.project`; slot (m,): row of each point in which (k,) and
+    sums (k, 8) of `fusion.reduce_cells`; ray (m,): row of each point in ends (q, 3), world; sensor (3,) world;
+    directory, first, tiles, shift: of the tile store; mark: scratch of `reduce_cells`, as it left it.
+
+    A cell that gives its face away keeps its foot if the cell before it is as high; otherwise the scan says nothing
+    of it. Points within `band` of the top are not of the face: a box has a top. Returns the new number of rows k."""
+    # Few cells are tall or unknown, and their points are few: both are listed without a branch, because no processor
+    # can predict which they are, and all the rest is worked out for those alone. the ground that a face stands on:
+    # seen in this scan, known in the cell, or in the cells before it
     ground = np.empty(k, np.float32)
     tall, open_ = np.empty(k, np.bool_), np.empty(k, np.bool_)
     some, number = np.empty(k, np.uint32), np.empty(k, np.int32)

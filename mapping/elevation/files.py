@@ -34,8 +34,9 @@ MAX_BYTES = 1_000_000_000
 def save_store(
     store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32], areas: str = ""
 ) -> None:
-    """Write all tiles, the thinned cloud (n, 3) of the same map, and a text of what was drawn on it; the file appears complete or not at all. Same map,
-    same bytes. Raises OSError."""
+    """Write all tiles, the thinned cloud (n, 3) of the same map, and a text with the areas drawn on it.
+
+    The file appears complete or not at all. Same map, same bytes. Raises OSError."""
     path = Path(path)
     keys = store.keys
     arrays: dict[str, Any] = {

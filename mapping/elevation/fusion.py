@@ -36,7 +36,8 @@ def report_of(
 
 
 _NOWHERE = 1e12
-"""Square of the distance [m^2] beyond which a point is none, such as one that is not finite: its ray has no end in single precision."""
+"""Square of the distance [m^2] beyond which a point does not count, such as one that is not finite: its ray has no
+end in single precision."""
 
 
 @njit(cache=True)
@@ -44,19 +45,26 @@ def project(
     points, rotation, position, origin, limits, body, noise, resolution, directory, first, shift,
     cell, z, weight, shared, ray, rays, counts, absent,
 ):  # fmt: skip  # pragma: no cover
-    """Points of one scan to cells of the pool. Goes on at point counts[NEXT]; returns False when it met a tile that does
-    not exist, its row and column in `absent` (2,): make it and call again.
+    """Project the points of one scan onto cells of the pool.
 
-    points (n,3) f32 base_link; rotation (3,3) world <- base; position (3,); origin (3,) sensor in base_link.
-    limits: min range, max range, ceiling above base at the robot, ceiling growth per metre; x0, x1, y0, y1 in base_link of what
-    counts.
+    Goes on at point counts[NEXT]. Returns False if it met a tile that does not exist, with its row and column in
+    `absent` (2,): allocate it and call again.
+
+    points (n, 3) f32 base_link; rotation (3, 3) world <- base; position (3,); origin (3,) sensor in base_link.
+
+    limits: min range, max range, ceiling above base at the robot, ceiling growth per metre; x0, x1, y0, y1 in
+    base_link of what counts.
+
     body (6,): x0, x1, y0, y1, z0, z1 of the self-filter box, base_link.
+
     noise: range sigma, beam angle sigma, attitude sigma, height sigma. directory, first, shift: of the tile store.
-    Out, compacted (counts[USED]): cell u32 index into the pool; z f32 world height; weight f32, one over the variance
-    of z that is each point's own; shared f32, the variance that all points of a place share (attitude, pose), which does
-    not average out; ray its row in `rays`. rays (q,3) f32, counts[RAYS]: world ends of all rays, dropped for their distance or height included:
-    they still tell what is empty.
-    """
+
+    Out, compacted (counts[USED]): cell u32 index into the pool; z f32 world height; weight f32, inverse of the
+    variance of z that is each point's own; shared f32, the variance that all points of a place share (attitude,
+    pose), which does not average out; ray its row in `rays`.
+
+    rays (q, 3) f32, counts[RAYS]: world ends of all rays, also of those dropped for distance or height: they still
+    tell what is empty."""
     # Unsigned indices spare the test for negative ones, here and below.
     one = np.uint64(1)
     m, q = np.uint64(counts[USED]), np.uint64(counts[RAYS])
@@ -135,8 +143,8 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
     cell are an overhang and ignored. `mark` is scratch over the pool (sparse set: no clearing needed), `slot` over the
     points. Out: which (k,) pool index; sums (k, 8) f32, see the columns. Returns k and the number of overhangs.
     """
-    # Conditional expressions compile to selects, `max` to branches, and which of two noisy heights is the higher no processor
-    # can predict: `max` takes three times as long.
+    # Conditional expressions compile to selects, `max` to branches, and which of two noisy heights is the higher no
+    # processor can predict: `max` takes three times as long.
     k = np.uint32(0)
     zero, one = np.float32(0.0), np.float32(1.0)
     for p in range(np.uint64(m)):
@@ -217,14 +225,16 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
 def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  # pragma: no cover
     """Fuse one measurement per cell into the map (1-D Kalman with two modes per cell).
 
-    rule: gate [sigmas], smallest gate [m], face [m], clearance [m], scans until a higher and until a lower surface takes
-    over, smallest variance, drift variance per ms, largest variance, points of an established cell, memory of a
+    rule: gate [sigmas], smallest gate [m], face [m], clearance [m], scans until a higher and until a lower surface
+    takes over, smallest variance, drift variance per ms, largest variance, points of an established cell, memory of a
     contradiction [ms].
-    A measurement beyond the gate builds up the cell's second mode, which takes over after enough scans in a row and as many points as an established cell has. A lower
-    measurement on a face (vertical extent in this scan) contradicts nothing: the wall's top is only out of view.
+
+    A measurement beyond the gate builds up the cell's second mode. That takes over after enough scans in a row, with
+    as many points as an established cell has. A lower measurement on a face (vertical extent in this scan)
+    contradicts nothing: the wall's top is only out of view.
+
     residuals: [sum of z - h over agreeing established cells, their number], for the drift estimate. touched: flag per
-    tile of 1 << area cells.
-    """
+    tile of 1 << area cells."""
     gate, gate_min, face, clearance = rule[0], rule[1], rule[2], rule[3]
     v_min, drift_rate, v_max, settled, memory = rule[6], rule[7], rule[8], rule[9], rule[10]
     gate_min2, gate2 = gate_min * gate_min, gate * gate

@@ -1,4 +1,5 @@
-"""A reader's copy of the map: tiles grown from patches, read as windows. Memory goes with the ground that was seen, not with the box around it."""
+"""A reader's copy of the map: tiles grown from patches, read as windows. Memory follows the ground that was seen, not
+the bounding box."""
 
 from __future__ import annotations
 
@@ -71,7 +72,8 @@ class CellWindow:
 
 
 def blocks_of(keys: NDArray[np.integer], side: int, most: int = PART) -> Iterator[CellWindow]:
-    """Windows that hold all tiles (n, 2) of `side` cells: one if that has at most so many cells, else blocks of 8 x 8 tiles, each cut to what it holds."""
+    """Windows that hold all tiles (n, 2) of `side` cells: one if it has at most `most` cells, else blocks of 8 x 8
+    tiles, each cut to its tiles."""
     whole = _window(keys, side)
     if whole.rows * whole.cols <= most:
         yield whole
@@ -150,7 +152,7 @@ class MapMirror:
         return window
 
     def tile(self, key: Key) -> NDArray[np.float32] | None:
-        """(5, SIDE, SIDE) layers of a tile in the order of PATCH_LAYERS, None where nothing was seen. Not to be written to."""
+        """(5, SIDE, SIDE) layers of a tile in the order of PATCH_LAYERS, None where nothing was seen. Read only."""
         if key in self.shelf:
             out = fresh_tile()
             self.shelf.get(key, out)
@@ -162,8 +164,8 @@ class MapMirror:
         return _window(self._keys(), SIDE)
 
     def view(self, xy: tuple[float, float], over: MapPatch | None = None) -> CellWindow:
-        """The part of the map (and of `over`) around x, y [m] that is planned on: what was seen of 5 x 5 steps of 512 cells; without rows or
-        columns where nothing of them was. Raises MapError before the first patch."""
+        """The part of the map (and of `over`) around x, y [m] that is planned on: the seen ground of 5 x 5 steps of
+        512 cells. It has no rows or columns if nothing was seen there. Raises MapError before the first patch."""
         if not self.known:
             raise MapError(EMPTY)
         if not all(map(math.isfinite, xy)):
@@ -208,8 +210,8 @@ class MapMirror:
         return list(blocks_of(self._keys(), SIDE))
 
     def grid(self, window: CellWindow | None = None, over: MapPatch | None = None) -> ElevationGrid:
-        """A window for planning, with `over` laid on it: unknown heights filled from the nearest known cell, untrusted; some are virtual
-        ground. None: the whole map. Raises MapError as `read`."""
+        """A window for planning with `over` laid on it; None: the whole map. Unknown heights are filled from the
+        nearest known cell and untrusted; some are virtual ground. Raises MapError as `read`."""
         window = self.bounds() if window is None else window
         patch = self.read(window, ("elevation", "variance", "trusted", "upper_bound", "source"))
         if over is not None:

@@ -1,13 +1,14 @@
-"""Grass and bushes: what rays stop in and pass through alike, all through a volume, is leaves and no step.
+"""Grass and bushes: leaves are a volume in which rays stop and through which rays pass. They are no step.
 
-A share of rays per cell tells a clump neither from a chair nor from a fence. So small voxels around the robot count the way that rays
-went through them and the rays that stopped in them, where a cell of the map would be a step. Their quotient is the density of leaves
-(Beer-Lambert law). A column is leafy if that density is one of leaves from the ground to its top, leaves begin where discs of 0.3 m
-are full of leafy columns, and nothing solid is among them: a fence and a row of posts are thin in one direction, a post in both, the
-legs of a chair stand apart, its seat is one layer, a box lets no ray through.
+The share of rays that pass through a cell tells a clump neither from a chair nor from a fence. So small voxels around
+the robot count the length of rays that passed and the number of rays that stopped, where the map would have a step.
+Their quotient is the density of leaves (Beer-Lambert law).
 
-    sectors(candidates) -> add(rays of a scan) -> columns -> spread -> cells of the map that are plants
-"""
+A column is leafy if it has the density of leaves from the ground to its top. Plants begin where discs of 0.3 m are
+full of leafy columns without anything solid. A fence and a row of posts are thin in one direction, a post in both.
+The legs of a chair stand apart, its seat is one layer, and a box lets no ray through.
+
+    sectors(candidates) -> add(rays of a scan) -> columns -> spread -> cells of the map that are plants"""
 
 from __future__ import annotations
 
@@ -48,17 +49,20 @@ WAY, STOPS = 0.15, 2.0
 FEW = 4.0
 """Rays that stopped in a voxel that is called solid."""
 AT_ONCE = 10.0
-"""Rays that make it solid where they are too dense for leaves; of one scan: something that moves is solid wherever it is, and leaves nothing behind that looks like leaves."""
+"""Stops in a voxel that make it solid if they are too dense for leaves. If one scan brings them, the voxel is solid
+for HOLD: a thing that moves must leave nothing behind that looks like leaves."""
 HOLD = 5000
 """[ms] for which such a voxel is solid."""
 SHARE = 0.34
 """Of a column's layers that may be empty, or not known."""
 WIDTH, FILLED = 0.3, 0.9
-"""Width of a disc [m] and share of its columns that are leafy where plants begin: so wide in every direction is no fence."""
+"""Width of a disc [m], and share of its columns that must be leafy where plants begin: a fence is not so wide in
+every direction."""
 BROAD = 0.5
 """Share of such a disc that must be high at all: rays past walls, posts and bars are not counted."""
 RINGS = 2
-"""Cells around such discs that are plants with them, if they are neither solid nor empty: the border of a clump does not follow the cells."""
+"""Cells around such discs that are plants too, if they are neither solid nor empty: the border of a clump does not
+follow the cells."""
 MOST = 5.0
 """[m] of way in a voxel from which on old rays count half: a box that was put there shows within a second."""
 SECTORS = 128
@@ -69,7 +73,8 @@ EMPTY, LEAFY, HARD, LOOSE = 0, 1, 2, 3
 
 
 class Rays(NamedTuple):
-    """Where rays of a scan count: nearest and farthest [m] from the LiDAR, by sector (SECTORS,), and the highest [m] in `map`."""
+    """Where rays of a scan count: nearest and farthest [m] from the LiDAR, by sector (SECTORS,), and the highest [m]
+    in `map`."""
 
     near: NDArray[np.float64]
     far: NDArray[np.float64]
@@ -77,7 +82,8 @@ class Rays(NamedTuple):
 
 
 class PlantVolume:
-    """Voxels around the LiDAR, on the lattice of the map. They wrap around: voxel (i, j, k) lies at [i & mask, j & mask, k & 15]."""
+    """Voxels around the LiDAR, on the lattice of the map. They wrap around: voxel (i, j, k) lies at [i & mask, j &
+    mask, k & 15]."""
 
     def __init__(self, resolution: float) -> None:
         self.resolution = resolution
@@ -115,7 +121,8 @@ class PlantVolume:
         self._corner: tuple[int, int, int] | None = None
 
     def centre(self, sensor: NDArray[np.float64]) -> None:
-        """Move the voxels along with the LiDAR at `sensor` (3,) [m] in `map`; those that were left behind are counted anew on the other side."""
+        """Move the voxels with the LiDAR at `sensor` (3,) [m] in `map`; those left behind start from zero on the
+        other side."""
         n = self._shape[0]
         row, col = (math.floor(v / self.resolution + 0.5) - n // 2 for v in (sensor[1], sensor[0]))
         layer = math.floor((sensor[2] - BELOW) / LAYER)
@@ -156,11 +163,11 @@ class PlantVolume:
         settled: int,
         now: int,
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]] | None:
-        """Which cells (rows, cols) from lattice row and column `corner` on have plants: LEAFY where they have, HARD where something solid
-        stands; their ground and the top of the leaves [m]. None where nothing is higher than `above` [m].
+        """Which cells (rows, cols) from lattice row and column `corner` on hold plants: LEAFY, or HARD where
+        something solid stands; their ground and the top of the leaves [m]. None if nothing is higher than `above`
+        [m].
 
-        height, count, source: of the cells, see `tiles.CELL`. `settled`: points of an established cell.
-        """
+        height, count, source: of the cells, see `tiles.CELL`. `settled`: points of an established cell."""
         ground, high, found = high_cells(height, count, source, above, settled)
         radius = 0.5 * WIDTH / self.resolution
         if found == 0 or not drop_thin(high, source, radius, BROAD):
@@ -178,10 +185,11 @@ class PlantVolume:
 
 @njit(cache=True)
 def high_cells(height, count, source, above, settled):  # pragma: no cover - compiled
-    """Ground around each cell (rows, cols) [m], which cells are higher by `above` to TALLEST or were called plants, and their number.
+    """Ground around each cell (rows, cols) [m]; which cells are higher by `above` to TALLEST or were called plants;
+    their number.
 
-    The ground is the mean of what lies within BAND of the lowest cell in the squares of BLOCK cells around; NaN where little is known or squares differ.
-    """
+    The ground is the mean of what lies within BAND of the lowest cell in the surrounding squares of BLOCK cells. It
+    is NaN where little is known or squares differ."""
     rows, cols = height.shape
     nr, nc = (rows + BLOCK - 1) // BLOCK, (cols + BLOCK - 1) // BLOCK
     least = np.full((nr + 2, nc + 2), np.inf, np.float32)
@@ -245,7 +253,8 @@ def high_cells(height, count, source, above, settled):  # pragma: no cover - com
 
 @njit(cache=True)
 def in_discs(mask, radius, share):  # pragma: no cover - compiled
-    """Which cells of `mask` (rows, cols) lie in a disc of `radius` cells of which the `share` is in the mask, and whether there are any."""
+    """Cells of `mask` (rows, cols) that lie in a disc of `radius` cells with at least `share` of its cells in the
+    mask, and whether there are any."""
     rows, cols = mask.shape
     out = np.zeros((rows, cols), np.bool_)
     reach = int(radius)
@@ -278,8 +287,8 @@ def in_discs(mask, radius, share):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def drop_thin(high, source, radius, share):  # pragma: no cover - compiled
-    """Clear the cells of `high` (rows, cols) that lie in no disc of `radius` cells of which the `share` is high, but for those called plants; returns
-    whether one is left."""
+    """Clear the cells of `high` (rows, cols) that lie in no disc of `radius` cells with a share `share` of high
+    cells. Cells called plants stay. Returns whether one is left."""
     broad, left = in_discs(high, radius, share)
     for r in range(high.shape[0]):
         for c in range(high.shape[1]):
@@ -324,7 +333,8 @@ def sectors_of(high, ground, row, col, sensor, resolution):  # pragma: no cover 
 def add_rays(
     ends, m, sensor, near, far, top, resolution, row, col, layer, now, way, stops, until, way_now, stops_now, met
 ):  # fmt: skip  # pragma: no cover - compiled
-    """See `PlantVolume.add`. Voxels from (row, col, layer) on; way_now, stops_now: zeros, of the shape of `way`; met: scratch, one for each voxel."""
+    """See `PlantVolume.add`. Voxels from (row, col, layer) on; way_now, stops_now: zeros, of the shape of `way`; met:
+    scratch, one for each voxel."""
     n, _, layers = way.shape
     mask, up = n - 1, layers - 1
     inv, thick = 1.0 / resolution, 1.0 / LAYER
@@ -434,8 +444,8 @@ def columns(high, ground, row, col, layer, now, way, stops, until):  # pragma: n
 
 @njit(cache=True)
 def spread(state, radius, filled):  # pragma: no cover - compiled
-    """`state` (rows, cols) with LEAFY left only in discs of `radius` cells of which the share `filled` is leafy, and RINGS around them where something
-    loose stands. HARD stays, the rest is EMPTY."""
+    """Keep LEAFY in `state` (rows, cols) only in discs of `radius` cells of which the share `filled` is leafy, and in
+    RINGS around them where something loose stands. HARD stays, the rest becomes EMPTY."""
     rows, cols = state.shape
     inside, _ = in_discs(state == LEAFY, radius, filled)
     out = np.zeros((rows, cols), np.uint8)

@@ -12,7 +12,8 @@ from mapping.elevation.exchange import MapError
 from mapping.grid import FARTHEST
 
 FASTEST, SLACK = 5.0, 3.0
-"""Twice the speed of our robots [m/s] and what an odometry corrects at once [m]: no pose lies further from the one before."""
+"""Twice the speed of our robots [m/s], and the largest correction of an odometry [m]: no pose lies further from the
+one before."""
 
 
 def checked_pose(
@@ -34,9 +35,8 @@ def checked_pose(
 
 
 class Course:
-    """The places that a robot passes. One that no robot can reach from the last is an error of the odometry: mapped there, each would
-    cost megabytes of tiles, and the ground would be drawn where it is not.
-    """
+    """The places that a robot passes. A place out of reach from the last one is an error of the odometry. Mapping it
+    would cost megabytes of tiles and draw the ground in a wrong place."""
 
     def __init__(self) -> None:
         self.warning = ""
@@ -48,7 +48,8 @@ class Course:
         self.warning, self._last = "", None
 
     def follow(self, position: ArrayLike, stamp: int) -> None:
-        """The next place (3,) [m] at `stamp` [ns]. Raises MapError where it is out of reach; the last good one stays the last."""
+        """The next place (3,) [m] at `stamp` [ns]. Raises MapError if it is out of reach; the last good place stays
+        the last."""
         place = np.array(position, dtype=np.float64)
         if not np.isfinite(place).all():
             raise MapError(f"pose must be finite, got {place}")

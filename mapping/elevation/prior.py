@@ -1,10 +1,11 @@
-"""Does a prior map fit? Told by the first scans: what stands where the map says ground.
+"""Does a prior map fit? The first scans tell: something stands where the map has ground.
 
-A prior map of another place, or a start pose that is not the robot's, looks right on level ground and fails at walls. The
-evidence is one-sided: a scan may see less of a wall than the map has, but never something where the map knows ground all
-around. Of the first 3000 cells in the arena a map that fits has none of that, one that lies 0.1 m or 2 deg off 0.9 and 1.6 %, one farther
-off 1.6 to 8 %; in lanes that fit it is up to 0.4 %. 0.05 m off may go unnoticed: it is hardly more than a cell.
-"""
+A prior map of another place, or a wrong start pose, looks right on level ground and fails at walls. The evidence is
+one-sided: a scan may see less of a wall than the map has, but nothing stands where the map knows ground all around.
+
+Share of such cells among the first 3000 in the arena: none for a map that fits, 0.9 and 1.6 % for one that is 0.1 m
+or 2 deg off, 1.6 to 8 % for one farther off. In lanes that fit it is up to 0.4 %. An offset of 0.05 m may go
+unnoticed: it is hardly more than a cell."""
 
 from __future__ import annotations
 
@@ -25,8 +26,8 @@ STANDS = 0.1
 KNOWN = 6
 """Cells of the 3 x 3 that must be known for a comparison: where a wall's foot was never seen it may stand."""
 BESIDE = 2
-"""Cells within which a thing that stands contradicts in the same scan once more. Behind the upper edge of a wall single points lie in the
-air, where a beam meets both the edge and what is behind it: in lanes they were up to 1.3 % of the cells."""
+"""Cells within which the same scan must contradict once more. Behind the upper edge of a wall single points lie in
+the air, where a beam meets both the edge and what is behind it: in lanes they were up to 1.3 % of the cells."""
 MISFIT = 0.006
 """Share of such cells of a map that does not fit."""
 
@@ -54,7 +55,8 @@ class PriorCheck:
         )
 
     def take(self, store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]) -> None:
-        """Compare one scan: which (k,) and sums (k, 8), see `fusion.reduce_cells`. The cells it met no longer count as those of a prior map."""
+        """Compare one scan: which (k,) and sums (k, 8), see `fusion.reduce_cells`. The cells it met no longer count
+        as prior."""
         met, higher = _differences(store, which, sums)
         self.tested += len(met)
         self.higher += higher

@@ -108,7 +108,8 @@ class MapReader:
             s.touched[slots[here]] = 0
             row, col = inside.min(axis=0) * s.size - pad
             end = (inside.max(axis=0) + 1) * s.size + pad
-            # Where there are no tiles nothing reads differently. Rows are left out by whole bands, or other cells would share a patch.
+            # Where there are no tiles nothing reads differently. Rows are left out by whole bands, or other cells
+            # would share a patch.
             row, col = row + max(0, bounds[0] - row) // s.size * s.size, max(col, bounds[1])
             rows, cols = np.minimum(end, (bounds[0] + bounds[2], bounds[1] + bounds[3])) - (row, col)
             patches += self._changes((int(row), int(col), int(rows), int(cols)), stamp, epoch)

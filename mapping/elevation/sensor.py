@@ -12,7 +12,7 @@ LEAST_BEAM_SIGMA = 1e-4
 """A beam has some width, whatever a specification says [rad]."""
 EVERYWHERE = (-inf, inf, -inf, inf)
 AHEAD = (0.05, 1.85, -1.2, 1.2)
-"""Ground that the LiDAR in the head is there for: up to 1.5 m before the nose. Its noise of 2 cm is too much for the rest."""
+"""Ground that the head LiDAR maps: up to 1.5 m before the nose. Its noise of 2 cm is too much for the rest."""
 
 
 @dataclass(frozen=True, slots=True)

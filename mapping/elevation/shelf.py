@@ -14,10 +14,9 @@ Key = tuple[int, int]
 
 
 class Shelf:
-    """Tiles of one size in one file of a folder. The file has no name, so it is gone when the process ends, however it ends.
+    """Tiles of one size in one file of a folder. The file has no name, so it disappears when the process ends.
 
-    Without a folder nothing can be put away: everything stays in memory.
-    """
+    Without a folder nothing is put away: everything stays in memory."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self.trouble = ""
@@ -50,7 +49,8 @@ class Shelf:
         return key in self._places
 
     def put(self, key: Key, tile: NDArray) -> bool:
-        """Write a tile, all of one size. False where the disk does not take it; the caller keeps it, and `trouble` says why."""
+        """Write a tile, all of one size. Returns False if the disk does not take it; the caller keeps the tile, and
+        `trouble` says why."""
         data = np.ascontiguousarray(tile).tobytes()
         place = self._free[-1] if self._free else self._end
         try:
@@ -75,7 +75,8 @@ class Shelf:
         return True
 
     def get(self, key: Key, out: NDArray) -> None:
-        """Read a tile into a contiguous array of its size; it stays on the disk. A tile that cannot be read is lost: `out` stays as it is."""
+        """Read a tile into a contiguous array of its size; it stays on the disk. If it cannot be read it is lost, and
+        `out` stays as it is."""
         try:
             assert self._file is not None
             got = os.preadv(self._file, [out.view(np.uint8).data], self._places[key])

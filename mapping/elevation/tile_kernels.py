@@ -1,4 +1,5 @@
-"""Compiled access to the cells of a tile store: where a cell lies in the pool, read-outs, what differs from what was sent."""
+"""Compiled access to the cells of a tile store: where a cell lies in the pool, read-outs, what differs from what was
+sent."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
 """World-fixed tile store: a map of a building costs memory only where it was seen.
 
 Cell (i, j) is centred on `(j * resolution, i * resolution)` in the `map` frame: row i grows with y, column j with x.
-A tile holds `size` x `size` cells; all tiles live in one growing flat pool, so kernels address any cell with one
-integer. A small dense directory maps tile coordinates to pool slots. Tiles far from the robot may lie on a shelf (on the disk); whoever
-reads or writes them brings them back.
-"""
+A tile holds `size` x `size` cells. All tiles live in one growing flat pool, so kernels address any cell with one
+integer. A small dense directory maps tile coordinates to pool slots. Tiles far from the robot may lie on a shelf (on
+the disk); whoever reads or writes them brings them back."""
 
 from __future__ import annotations
 
@@ -20,8 +19,8 @@ from mapping.elevation.shelf import Shelf
 from mapping.elevation.tile_kernels import differences, gather, locate, take_back
 
 UNKNOWN, CONTACT, LIDAR, BRIDGED, ASSUMED = 0, 1, 2, 3, 4
-"""Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store. `PLANTS`: ground under
-leaves, as high as the ground around; `upper` is the top of the leaves."""
+"""Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the
+store. `PLANTS`: ground under leaves, as high as the ground around; `upper` is the top of the leaves."""
 
 CELL = np.dtype(
     [
@@ -57,7 +56,7 @@ AWAY = -2
 FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
 
 AT_ONCE = 16
-"""Tiles that are put away in one scan, 3 MB. The robot stood for 2.4 s on its way when 1000 tiles of a prior map were, on a loaded machine."""
+"""Tiles put away in one scan, 3 MB. With 1000 at once the robot stood for 2.4 s on its way, on a loaded machine."""
 TRUSTED_SENT = 16
 """`state` of a cell that the last delta called trusted."""
 
@@ -65,7 +64,7 @@ SAVED = ("height", "variance", "below", "upper", "count", "source")
 """Fields that make up a stored map; the others start fresh."""
 
 WIDEST = 2048
-"""Tile rows or columns that a map may span: 5 km with tiles of 64 cells of 0.04 m. What lies further apart is an error of somebody's."""
+"""Tile rows or columns that a map may span: 5 km with tiles of 64 cells of 0.04 m. Anything wider is an input error."""
 
 
 class Layers(NamedTuple):
@@ -129,8 +128,8 @@ class TileStore:
         self.level[: held.size] = np.where(held["source"] == LIDAR, held["height"], np.nan)
 
     def reserve(self, capacity: int) -> None:
-        """Make room for that many tiles at once. Their cells are made fresh when they are allocated: a map that is driven on must not
-        wait for that of a thousand tiles."""
+        """Make room for that many tiles at once. Their cells are initialised when they are allocated, so a moving
+        robot does not wait for a thousand tiles."""
         have = self.touched.size
         if capacity <= have:
             return
@@ -144,8 +143,8 @@ class TileStore:
         self.touched, self.tiles = _grown(self.touched, capacity), _grown(self.tiles, capacity)
 
     def stay_near(self, row: int, col: int, near: int, far: int, most: int = AT_ONCE) -> None:
-        """Bring back the tiles up to `near` rows and columns from a tile, put away some of those beyond `far` of which all changes were read: so
-        many at most, the rest in the next calls."""
+        """Bring back the tiles up to `near` rows and columns from a tile. Put away tiles beyond `far` whose changes
+        were read, at most `most` per call."""
         if (not self.shelf.open and not len(self.shelf)) or self._middle == (row, col):
             return
         self.bring(row - near, col - near, row + near, col + near)
@@ -176,7 +175,7 @@ class TileStore:
         return self.used + len(self._away), known, trusted + sum(k for _, k in self._away.values())
 
     def _put_away(self, slot: int) -> bool:
-        """Move a tile from the pool to the shelf; the last one takes its slot. False where the disk does not take it."""
+        """Move a tile from the pool to the shelf; the last tile takes its slot. False if the disk does not take it."""
         here, record = self._span(slot), self._record
         record["cells"], record["sent"] = self.cells[here], self.sent[here]
         record["level"] = self.level[here] if self.level.size else np.nan
@@ -213,7 +212,8 @@ class TileStore:
         self.directory[row - int(self.first[0]), col - int(self.first[1])] = slot
 
     def cover(self, row_lo: int, col_lo: int, row_hi: int, col_hi: int) -> None:
-        """Grow the directory so that it holds the tile rows and columns given (both ends in). Raises MapError beyond WIDEST."""
+        """Grow the directory so that it holds these tile rows and columns (both ends included). Raises MapError
+        beyond WIDEST."""
         if not self.used and self.directory.size == 1:  # the map begins where the robot is, not at the origin
             self.first = np.array([row_lo, col_lo], dtype=np.int64)
         r0, c0 = int(self.first[0]), int(self.first[1])
@@ -306,9 +306,9 @@ class TileStore:
         count: int,
         now: int,
     ) -> None:
-        """Write height, variance and upper bound, (rows, cols) each, into the cells from (i0, j0) on, as seen at `now` [ms], LiDAR cells by
-        `count` points. source: UNKNOWN, CONTACT or LIDAR; an unknown cell without a finite upper bound stays as it is.
-        """
+        """Write height, variance and upper bound, (rows, cols) each, into the cells from (i0, j0) on, as seen at
+        `now` [ms], LiDAR cells with `count` points. source: UNKNOWN, CONTACT or LIDAR. An unknown cell without a
+        finite upper bound stays as it is."""
         wanted = (source != UNKNOWN) | np.isfinite(layers[2])
         rows, cols = source.shape
         for row in range(i0 >> self.shift, ((i0 + rows - 1) >> self.shift) + 1):
@@ -328,13 +328,12 @@ class TileStore:
         state: NDArray[np.uint8],
         step: float,
     ) -> list[tuple[int, int, int, int]]:
-        """Rectangles (first row, row after the last, first column, column after the last) within a read-out whose corner
-        is cell (i0, j0), that hold every cell which reads differently from what was last sent, at most one per `size` rows.
-        They count as sent from now on.
+        """Rectangles (first row, row after the last, first column, column after the last) within a read-out whose
+        corner is cell (i0, j0). They hold every cell that reads differently from what was last sent, at most one per
+        `size` rows. They count as sent from now on.
 
-        A cell differs by its state, by more than `step` [m] in height, or, where the height is unknown, by more than ten
-        steps in the upper bound. Cells of absent tiles never differ.
-        """
+        A cell differs by its state, by more than `step` [m] in height, or, if the height is unknown, by more than ten
+        steps in the upper bound. Cells of absent tiles never differ."""
         bands = -(-height.shape[0] // self.size)
         boxes = np.empty((bands, 4), dtype=np.int64)
         differences(

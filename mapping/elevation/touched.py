@@ -1,8 +1,7 @@
-"""What the robot touched and no ray tells of: walls that lie over what the map measured, until they fade.
+"""What the robot touched and no ray shows: walls that lie over the measured map until they fade.
 
-They exist in read-outs only, as bridged cells do. Rays that pass through a pane of glass can erase nothing of them, and once they
-are gone the map reads as it was measured.
-"""
+They exist in read-outs only, as bridged cells do. Rays that pass through a pane of glass cannot erase them. Once they
+are gone the map reads as it was measured."""
 
 from __future__ import annotations
 
@@ -44,7 +43,8 @@ class TouchedWalls:
     def add(
         self, store: TileStore, place: tuple[float, float, float], yaw: float, resolution: float, now: int
     ) -> None:
-        """A wall across `yaw` [rad] whose face is as wide as the body and has its middle at x, y [m] of `place`; z is that of base_link."""
+        """Add a wall across `yaw` [rad] as wide as the body, the middle of its face at x, y [m] of `place`; z is that
+        of base_link."""
         x, y, z = place
         c, s = math.cos(yaw), math.sin(yaw)
         reach = math.hypot(DEPTH, self._half)

@@ -1,8 +1,7 @@
-"""Virtual ground: cells that nobody measured but over which a ray passed low, after the surfaces of CSIRO's robots at SubT.
+"""Virtual ground: unmeasured cells over which a ray passed low, after the surfaces of CSIRO's robots at SubT.
 
-The upper bound of such a cell is its best case. Where even that is too steep nothing drives. Elsewhere it may be ground or a
-pit, which is told from near only: plans may lead there, the robot drives on it when it was seen.
-"""
+The upper bound of such a cell is its best case. If even that is too steep nothing drives there. Otherwise it may be
+ground or a pit, which shows only from near. Plans may lead over it; the robot drives on it after it was seen."""
 
 from __future__ import annotations
 
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 LOW = 0.25
 """A ray this near above the nearest known ground [m] leaves no room for a wall."""
 SLIT = 0.24
-"""Cells without a ray in a gap not wider than this [m] count as the cells beside them: behind a crest the rays begin a bit off."""
+"""Cells without a ray in a gap up to this width [m] count as the cells beside them: behind a crest the rays begin a
+bit farther."""
 
 
 def virtual_ground(

@@ -40,11 +40,11 @@ def trace(
 ):  # fmt: skip  # pragma: no cover
     """Walk rays from sensor (3,) to every `stride`-th of xyz[:m] (world), over cells of allocated tiles.
 
-    Lowers `upper` of cells without a LiDAR height and flags their tile in `touched`. Collects in `hit` the pool index of
-    each cell with a height that a ray passed under by more than `margin` + 3 sigma, not nearer than `skip` [m] to the
-    ray's end (a quarter of it where nothing beside the cell is as high); in `low` the lowest such ray, in `many` their number. angle: sigma of the ray direction [rad]; settled:
-    points of an established cell. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
-    """
+    Lowers `upper` of cells without a LiDAR height and flags their tile in `touched`. Collects in `hit` the pool index
+    of each cell with a height that a ray passed under by more than `margin` + 3 sigma. The ray's last `skip` [m] do
+    not count (a quarter of it if nothing beside the cell is as high). `low`: the lowest such ray; `many`: their
+    number. angle: sigma of the ray direction [rad]; settled: points of an established cell. `mark` is scratch (sparse
+    set). Returns the number of cells in `hit`."""
     n = 0
     size = np.int64(1) << shift
     mask = size - 1
@@ -121,8 +121,8 @@ def trace(
 
 @njit(cache=True)
 def _has_company(cells, index, below, shift):  # pragma: no cover
-    """Whether three of the neighbours in the tile know this height [m] too, now or from before. Ground goes on; what was
-    seen first of a face, its foot, is a line."""
+    """Whether three of the neighbours in the tile know this height [m] too, now or from before. Ground goes on; the
+    foot of a face, which was seen first, is a line."""
     size = 1 << shift
     i, j = (index >> shift) & (size - 1), index & (size - 1)
     n = 0
@@ -142,10 +142,9 @@ def judge(
 ):  # pragma: no cover
     """Remove cells looked through in `passes_needed` clean-ups and unconfirmed for `unseen` [ms].
 
-    The ground that was known before something came to stand there returns if the rays passed above it; else the cell
-    becomes unknown. One look is enough for a stray cell of fewer than `settled` points, and for a surface that hangs more than `clearance` [m] over
-    the rays, seen or not. Returns the number of cells removed.
-    """
+    The ground that was known before returns if the rays passed above it; otherwise the cell becomes unknown. One look
+    is enough for a stray cell of fewer than `settled` points, and for a surface more than `clearance` [m] above the
+    rays, seen or not. Returns the number of cells removed."""
     removed = 0
     for k in range(n):
         cell = cells[hit[k]]

@@ -51,10 +51,9 @@ def support_patch(
 ) -> SupportPatch:
     """Cells under the robot from wheel contacts.
 
-    contacts (k,3), k > 0, bottoms of the wheels that touch, world [m]; centre (2,) of the body, world; half: half length and
-    width of the body rectangle including its margin [m]; radius: a disc of this radius instead [m]. Three contacts
-    give the plane by least squares; fewer, and all that are not to make a `plane`, tell of their own spots only.
-    """
+    contacts (k, 3), k > 0, bottoms of the touching wheels, world [m]; centre (2,) of the body, world; half: half
+    length and width of the body rectangle with its margin [m]; radius: a disc of this radius instead [m]. Three
+    contacts give the plane by least squares. Fewer contacts, or no `plane`, tell of their own spots only."""
     mean = contacts.mean(axis=0)
     local = contacts - mean
     slope = np.linalg.lstsq(local[:, :2], local[:, 2], rcond=0.05)[0]
@@ -78,7 +77,8 @@ def _cells(
     lo, hi, centre, c, s, half_length, half_width, radius, contacts, mean, slope, rough, sigma, resolution,
     i, j, height, variance, under,
 ):  # fmt: skip  # pragma: no cover
-    """Write the cells of `support_patch` from lattice column and row `lo` to `hi` (2,); returns their number. radius < 0: the body's rectangle."""
+    """Write the cells of `support_patch` from lattice column and row `lo` to `hi` (2,); returns their number. radius
+    < 0: the body rectangle."""
     n = 0
     for row in range(lo[1], hi[1] + 1):
         for col in range(lo[0], hi[0] + 1):
@@ -106,10 +106,9 @@ def _cells(
 def behind(
     patch: SupportPatch, off: NDArray[np.bool_], centre: NDArray[np.float64], resolution: float
 ) -> NDArray[np.bool_]:
-    """Which cells of a patch (n,) lie behind one that is known at another height, `off` (n,), as seen from `centre` (2,) [m].
+    """Which cells of a patch (n,) lie behind a cell of another height, `off` (n,), as seen from `centre` (2,) [m].
 
-    The robot stands on this side of a wall or an edge: its support plane says nothing of the other one.
-    """
+    The robot stands on this side of a wall or an edge: its support plane says nothing of the other side."""
     i0, j0 = patch.i.min(), patch.j.min()
     blocks = np.zeros((patch.i.max() - i0 + 1, patch.j.max() - j0 + 1), np.bool_)
     blocks[patch.i - i0, patch.j - j0] = off
@@ -125,8 +124,8 @@ def behind(
 
 
 def carried(store: TileStore, resolution: float, contacts: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(k,) whether known ground can carry a wheel at each of `contacts` (k, 3) [m]: the LiDAR knows some at its height around it, or
-    none at all."""
+    """(k,) whether known ground can carry a wheel at each of `contacts` (k, 3) [m]: the LiDAR knows ground at its
+    height there, or none at all."""
     out = np.array(np.isfinite(contacts).all(axis=1))
     x, y, z = contacts[out].T
     reach = np.arange(-round(WHEEL_SPOT / resolution), round(WHEEL_SPOT / resolution) + 1)
@@ -149,10 +148,11 @@ def enter(
     sigma: float,
     resolution: float,
 ) -> SupportPatch:
-    """Write the ground under the wheels where the LiDAR knows nothing and no wheel knew better -> what was written; see `support_patch`.
+    """Write the ground under the wheels where neither LiDAR nor wheels knew better. Returns what was written; see
+    `support_patch`.
 
-    Three wheels on rubble always make a plane: where the LiDAR knows another ground under the body, only the wheels' spots are written.
-    """
+    Three wheels on rubble always make a plane. If the LiDAR knows another ground under the body, only the wheels'
+    spots are written."""
     for plane in (True, False):
         patch = support_patch(contacts, centre, yaw, half, radius, sigma, resolution, plane)
         cell = store.locate(patch.i, patch.j)

@@ -27,14 +27,14 @@ class Agreement:
 
     def __init__(self) -> None:
         self._off: deque[tuple[int, Array, float]] = deque()
-        """End of a scan [ns], and way ahead [m] of each wheel (4,) and turn about z [rad] by which it and dead reckoning
-        differ."""
+        """End of a scan [ns]; difference between scan and dead reckoning in way ahead of each wheel (4,) [m], and in
+        turn about z [rad]."""
 
     def add(self, stamp: int, before: Array, after: Array, rolled: Array, turned: float) -> str:
-        """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`; each wheel rolled `rolled` (4,) [m], NaN
-        where they do not tell, and the gyro turned by `turned` [rad]. Why the two disagree, in words; empty while they
-        do not. Wheels that spin on an edge or at a face roll farther than those that do not, so the way lies between.
-        """
+        """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`. Each wheel rolled `rolled` (4,)
+        [m], NaN if unknown; the gyro turned by `turned` [rad]. Returns in words why scan and dead reckoning disagree;
+        empty while they agree. Wheels that spin on an edge or at a face roll farther than the others, so the true way
+        lies between."""
         turn = rotation_vector(before[:3, :3].T @ after[:3, :3])[2]
         ahead = way_ahead(before, after) - rolled
         self._off.append((stamp, np.where(np.isfinite(ahead), ahead, 0.0), wrap(float(turn) - turned)))

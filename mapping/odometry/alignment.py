@@ -1,15 +1,14 @@
 """Clock and mount of each LiDAR, found while the robot moves. Two least-squares fits with a fading memory:
 
-`GyroFit`, for the LiDAR that is registered. Sweeps that were measured `offset` [s] after their stamps show the body where it was
-later: from scan to scan registration turns more than the gyro by the change of the rate times the offset. A mount that is turned
-by e [rad] turns the axis of every motion (hand-eye calibration, Daniilidis 1999):
+`GyroFit`, for the LiDAR that is registered. Sweeps that were measured `offset` [s] after their stamps show the body
+where it was later: from scan to scan registration turns more than the gyro by the change of the rate times the
+offset. A mount that is turned by e [rad] turns the axis of every motion (hand-eye calibration, Daniilidis 1999):
 
     registered - gyro = offset (rate_k - rate_k-1) + e x turn
 
-A robot on wheels drives ahead: a mount that is turned about z makes it drive askew.
-`MapFit`, for every other LiDAR. Its cloud lies beside the planes of the local map by a constant error of the mount, and by the
-motion during the offset.
-"""
+A robot on wheels drives ahead: a mount that is turned about z makes it drive askew. `MapFit`, for every other LiDAR.
+Its cloud lies beside the planes of the local map by a constant error of the mount, and by the motion during the
+offset."""
 
 from __future__ import annotations
 
@@ -25,7 +24,8 @@ PRIOR_OFFSET, PRIOR_TURN, PRIOR_PLACE = 0.05, 0.05, 0.05
 MEMORY = 300.0
 """Scans of a moving robot after which one counts 1/e."""
 KEPT = 0.1
-"""Weight of what was measured before the stamps were shifted: sweeps were bent by the wrong time. After the largest shift they still are."""
+"""Weight of what was measured before the stamps were shifted: those sweeps were bent by the wrong time. After the
+largest shift they still are."""
 ASSUMED = 30.0
 """Measurements that the assumed noise counts for beside those that were made."""
 CONSECUTIVE = 150_000_000
@@ -33,16 +33,19 @@ CONSECUTIVE = 150_000_000
 WAVER = 5e-4
 """Rotation [rad] by which one registration differs from the next beside what its covariance tells."""
 ASKEW, AT_FIRST = np.diag(np.radians([0.25, 0.25, 0.0]) ** 2), 10
-"""The same of roll and pitch [rad^2], base_link, in so many scans of motion at first: the map of a robot that has only stood knows the ground
-from one attitude, and lies askew from where it looks with its nose down. In a lane a registration was 18 mrad off there, its covariance said 2."""
+"""The same for roll and pitch [rad^2], base_link, in the first scans of motion. The map of a robot that has only
+stood knows the ground from one attitude, and lies askew once the nose points down. In a lane a registration was 18
+mrad off there; its covariance said 2 mrad."""
 CALM = 0.05
 """A slower turn [rad/s] tells nothing."""
 STRAIGHT, STEP = 0.1, 0.02
 """Turn rate [rad/s] up to which, and distance from scan to scan [m] from which the robot drives ahead,"""
 SIDEWAYS, SLIP = 0.003, 0.1
-"""by so much to the side [m] and per metre [-], one standard deviation: a skid-steered robot drives up to a degree or so askew."""
+"""by so much to the side [m] and per metre [-], one standard deviation: a skid-steered robot drives up to about a
+degree askew."""
 STRANGE = 5.0
-"""A difference between registration and gyro from scan to scan is neither clock nor mount beyond this [standard deviations]."""
+"""A difference between registration and gyro from scan to scan beyond this [standard deviations] is neither clock nor
+mount."""
 INDEPENDENT = 60
 """Points of a cloud whose errors are independent."""
 GATE, SCALE = 0.15, 0.05
@@ -172,7 +175,8 @@ class MapFit:
         sigma: float,
         shift: float,
     ) -> None:
-        """What `VoxelPlanes.fit` says at the `pose` that was found with `off`, see `pose`; `sigma` [m]: error of a plane."""
+        """Add the result of `VoxelPlanes.fit` at the `pose` that was found with `off`, see `pose`; `sigma` [m]: error
+        of a plane."""
         h, b, _, _, inliers, total, _ = fitted
         if inliers < INDEPENDENT:
             return
@@ -198,9 +202,8 @@ class MapFit:
 
 
 def _displacement(linear: Array, angular: Array) -> Array:
-    """(6, 7) place and turn of a cloud beside its true place, base_link, for each unknown: it was taken `offset` later, so it
-    lies behind by the motion.
-    """
+    """(6, 7) place and turn of a cloud beside its true place, base_link, for each unknown: it was taken `offset`
+    later, so it lies behind by the motion."""
     out = np.zeros((6, 7))
     out[:3, 0], out[3:, 0] = -linear, -angular
     out[3:, 1:4] = np.eye(3)

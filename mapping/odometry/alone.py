@@ -1,8 +1,8 @@
-"""Odometry for a log that lacks a sensor: LiDAR alone, or wheels and IMU alone. What it can do is said in the health of every pose.
+"""Odometry for a log that lacks a sensor: LiDAR alone, or wheels and IMU alone. The health of every pose says what it
+can do.
 
-Both take what `mapping.odometry.pipeline` takes and give what it gives. Neither is `good`: without an IMU a quick turn is found late, without
-a LiDAR the place drifts for ever.
-"""
+Both take what `mapping.odometry.pipeline` takes and return what it returns. Neither is `good`: without an IMU a quick
+turn is found late, without a LiDAR the position drifts without bound."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from mapping.odometry.types import OdometryConfig, ScanOdometry
 from mapping.odometry.wheels import velocities
 
 ALONE_RANGE, ALONE_VOXEL = 100.0, 0.5
-"""Points and voxels of KISS-ICP [m]: where nothing tells the motion, walls far away hold what rings on level ground do not. Ten scans of
-a car at 7 m/s (OS0-8): 0.74 m a scan with these, 0.3 m with points up to 20 m."""
+"""Range and voxels of KISS-ICP [m]. Where nothing tells the motion, far walls hold what rings on level ground do not.
+Ten scans of a car at 7 m/s (OS0-8): 0.74 m a scan with these, 0.3 m with points up to 20 m."""
 FITS = 0.7
 """Share of the points on known planes that lie on them, below which a scan fits nowhere."""
 POSITION_SIGMA, ROTATION_SIGMA = 0.05, math.radians(1.0)
@@ -42,7 +42,8 @@ REPORT = NS // 10
 
 
 class LidarAlone:
-    """KISS-ICP as its package runs it: the motion of the last scan predicts the next one and takes the skew out of it. Vizzo et al., RA-L 2023."""
+    """KISS-ICP as its package runs it: the motion of the last scan predicts the next one and deskews it. Vizzo et
+    al., RA-L 2023."""
 
     words = "LiDAR alone: no IMU"
 
@@ -53,8 +54,8 @@ class LidarAlone:
         own: Sequence[OwnPart] = (),
         size: tuple[float, float] | None = None,
     ) -> None:
-        """`mounts`: each LiDAR in base_link; only the main one is registered. `own`: parts of the robot beside its body, whose
-        `size` is length and width [m]."""
+        """`mounts`: each LiDAR in base_link; only the main one is registered. `own`: parts of the robot beside its
+        body, whose `size` is length and width [m]."""
         self._own = OwnFilter(own, mounts, size)
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
@@ -147,7 +148,7 @@ class LidarAlone:
 
 
 class WheelsAlone:
-    """Dead reckoning of wheels and IMU: `velocities` of the legs, or what a robot on other wheels says of its own speed."""
+    """Dead reckoning of wheels and IMU: `velocities` of the legs, or the speed that a robot on other wheels reports."""
 
     words = "wheels and IMU alone: no LiDAR, the place drifts"
 

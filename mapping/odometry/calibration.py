@@ -1,4 +1,5 @@
-"""Watches clock and mount of every LiDAR while the robot drives, corrects the clock, and says what the operator must mend."""
+"""Watches clock and mount of every LiDAR while the robot drives, corrects the clock, and tells the operator what to
+mend."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from mapping.odometry.ground_fit import GroundFit
 from mapping.odometry.registration.engines import Engine
 
 CERTAIN, REFINED = 5.0, 3.0
-"""Standard deviations beyond which a difference is believed: it is looked at after every scan. Fewer where a clock is corrected already."""
+"""Standard deviations beyond which a difference is believed; it is checked after every scan. Fewer if a clock is
+already corrected."""
 WORTH, SMALL = 0.005, 0.001
 """Offset [s] from which a clock is corrected, `CERTAIN` times `CLOCK`, and what a correction may leave."""
 DOUBTFUL = 2.0
@@ -24,13 +26,14 @@ DOUBTFUL = 2.0
 YOUNG = 5
 """Scans in the local map below which nothing is compared with it."""
 KNOWN = 0.001
-"""Standard deviation [s] of the main LiDAR's offset up to which the others are compared with its map: until then it is bent."""
+"""Standard deviation [s] of the main LiDAR's offset from which on the others are compared with its map: until then
+the map is bent."""
 MOUNT = math.radians(1.2), 0.010
 """Error of a mount that is told [rad], [m]."""
 SYSTEMATIC, CLOCK = (math.radians(0.15), 0.003), 0.001
-"""Error of what is found beside the noise: of mounts [rad], [m], of a clock [s], one standard deviation. Right clocks of simulated physics were found 1.8 to
-2.7 ms off at the end of a drive, 4.5 ms at most on the way: its poses move by the rate at the end of a step of 5 ms, and the gyro's samples are
-joined by straight lines."""
+"""Systematic error beside the noise, one standard deviation: of mounts [rad], [m], of a clock [s]. Correct clocks in
+simulated physics were found 1.8 to 2.7 ms off at the end of a drive, and at most 4.5 ms on the way. The simulator's
+poses move by the rate at the end of a step of 5 ms, and gyro samples are joined by straight lines."""
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 TURNING = 0.1
 """Turn rate [rad/s] at which a wrong offset bends it."""
@@ -82,16 +85,16 @@ class Calibration:
     ) -> None:  # fmt: skip
         """A scan of the main LiDAR was registered to the local map of `engine`.
 
-        It ended at `stamp` [ns]; the gyro went from `before` (4, 4), at the stamp `since`, to `predicted`; registration says `pose`, `covariance`
-        (6, 6) with the rotation in `odom` axes.
-        """
+        It ended at `stamp` [ns]. The gyro led from `before` (4, 4), at the stamp `since`, to `predicted`.
+        Registration says `pose` with `covariance` (6, 6), rotation in `odom` axes."""
         if engine.scans < YOUNG:
             return
         turned = before[:3, :3].T @ predicted[:3, :3]
         noise = pose[:3, :3].T @ covariance[3:, 3:] @ pose[:3, :3]
         self._gyro.add(stamp, turned, (stamp - since) / NS, pose, noise, self.shift["main"] / NS)
         if self._settle("main", self._gyro):
-            # The sweeps in the map were bent by the wrong time. Its settled surfaces take no more points: they would stay so for good.
+            # The sweeps in the map were bent by the wrong time. Settled surfaces take no more points, so they would
+            # stay bent.
             if self._corrects("main"):
                 engine.planes.fade(KEPT)
             for fit in self._beside.values():
@@ -106,11 +109,11 @@ class Calibration:
         angular: Array,
         contacts: Array,
     ) -> None:
-        """What every LiDAR saw during that scan, (n, 3) base_link, beside the local map of `engine` and the ground under the wheels.
+        """Compare what every LiDAR saw during that scan, (n, 3) base_link, with the local map of `engine` and the
+        ground under the wheels.
 
-        `pose` (4, 4) `odom` <- base_link; `linear`, `angular` (3,): velocity during the sweep [m/s, rad/s], `contacts` (k, 3): where wheels
-        touch the ground [m], base_link.
-        """
+        `pose` (4, 4) `odom` <- base_link; `linear`, `angular` (3,): velocity during the sweep [m/s, rad/s];
+        `contacts` (k, 3): wheel contacts [m], base_link."""
         for name, cloud in clouds.items():
             self._ground[name].add(cloud, contacts, pose[2, :3])
             # on slopes a map that is off in height is off ahead
@@ -139,8 +142,8 @@ class Calibration:
         return abs(self.shift[name]) < round(self._max * NS)
 
     def joins(self, name: LidarName) -> bool:
-        """Whether what this LiDAR sees is registered with the main one's sweep: nothing speaks against clocks and mounts. One whose clock was corrected is compared with
-        the map that the main one makes, and so must not lead to the place from which it is compared."""
+        """Whether this LiDAR is registered together with the main one: clocks and mounts must look right. A LiDAR
+        whose clock was corrected is compared with the main one's map, so it must not influence that map."""
         return (
             self.shift[name] == 0 and not self._mount_faults() and all(map(self._seems_right, ("main", name)))
         )
@@ -157,7 +160,8 @@ class Calibration:
         )
 
     def mounts(self) -> dict[LidarName, MountFit]:
-        """What is known of the mounts. The place of the main LiDAR ahead and aside is taken for right: the others are placed beside it."""
+        """What is known of the mounts. Position x and y of the main LiDAR is taken for right; the others are placed
+        relative to it."""
         out: dict[LidarName, MountFit] = {}
         for name, (x, sigma) in self._known.items():
             at = self._places[name]
@@ -210,7 +214,8 @@ class Calibration:
         return words
 
     def _ground_fault(self, name: LidarName) -> dict[str, float]:
-        """Roll, pitch [rad] and height [m] of the mount by the ground. What another LiDAR sees in the same way is the ground's."""
+        """Roll, pitch [rad] and height [m] of the mount by the ground. A deviation that another LiDAR sees too
+        belongs to the ground."""
         ground = self._ground[name]
         if not ground.known:
             return {}
@@ -233,7 +238,8 @@ class Calibration:
 
 
 def told(off: dict[str, float]) -> str:
-    """Turns [rad] and distances [m] by axis, in steps of half a degree and centimetre: what is told does not flicker."""
+    """Turns [rad] and distances [m] by axis, in steps of half a degree and half a centimetre, so that the text does
+    not flicker."""
     return ", ".join(
         f"{axis} {0.5 * round(2.0 * math.degrees(value)):+.1f} deg"
         if axis in AXES[:3]
@@ -256,8 +262,7 @@ def _places(x: Array, sigma: Array, at: Array) -> dict[str, float]:
 
 
 def _certainly(off: Array, sigma: Array, systematic: float, limit: float) -> NDArray[np.bool_]:
-    """Whether each is no chance (`CERTAIN`), and beyond the limit by twice all that may be wrong with it. With the second alone a right mount was told 2.5
-    standard deviations off for 0.3 s in the first metres of a drive.
-    """
+    """Whether each is certain (`CERTAIN`), and beyond the limit by twice its total error. With the second test alone
+    a correct mount was told for 0.3 s in the first metres of a drive, 2.5 standard deviations off."""
     size = np.abs(off)
     return (size > CERTAIN * sigma) & (size - 2.0 * np.hypot(sigma, systematic) > limit)

@@ -63,11 +63,10 @@ def _deskew(
 def deskew(
     xyz: NDArray[np.float32], time: Array, stamps: NDArray[np.int64], track: Array, start: int, lever: Array
 ) -> NDArray[np.float32]:
-    """Points (n, 3) in base_link as measured -> (n, 3) float32 in base_link at the last stamp of the track.
+    """Move points (n, 3) in base_link as measured to (n, 3) float32 in base_link at the last stamp of the track.
 
-    `time` (n,) [s] since `start` [ns]; `stamps` (k,) [ns] and `track` (k, >= 10) poses of the IMU at `lever` (3,) in base_link, ascending.
-    Points measured outside the track are taken at its ends.
-    """
+    `time` (n,) [s] since `start` [ns]; `stamps` (k,) [ns] and `track` (k, >= 10) poses of the IMU at `lever` (3,) in
+    base_link, ascending. Points measured outside the track are taken at its ends."""
     first = max(int(np.searchsorted(stamps, start, side="right")) - 1, 0)
     knots = (stamps[first:] - start) * 1e-9
     moved = np.concatenate([[True], np.diff(knots) > 0.0])

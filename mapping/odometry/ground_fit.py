@@ -60,7 +60,7 @@ class GroundFit:
         return self._uneven < LATELY
 
     def add(self, cloud: NDArray[np.float32], contacts: Array, up: Array) -> None:
-        """A `cloud` (n, 3), the points where the wheels touch the ground `contacts` (k, 3), the vertical `up` (3,); all in base_link."""
+        """Add a `cloud` (n, 3), the wheel contacts `contacts` (k, 3) and the vertical `up` (3,); all in base_link."""
         self._scans += 1
         if self.known and self._scans % EVERY:
             return

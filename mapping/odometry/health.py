@@ -17,14 +17,15 @@ from mapping.odometry.registration.observability import observed
 INDEPENDENT = 60
 """Points of a scan whose errors are independent."""
 SCATTER = 0.6
-"""Share of the scatter of a scan about the map that does not average out. More of it serves sparse LiDARs where wheels roll
-cleanly (synthetic runs), less of it where they slip and bump (physics)."""
+"""Share of the scatter of a scan about the map that does not average out. More serves sparse LiDARs whose wheels roll
+cleanly (synthetic runs), less serves wheels that slip and bump (physics)."""
 FITS_AGAIN = 0.1, 0.04
 """Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
 USUAL = 2.0
 """and never more than this times what is usual,"""
 SPARE = 0.02, 0.01
-"""with this share of points off the surfaces [0..1] and this distance [m] to spare: where the usual ground is level, all other fits worse."""
+"""plus this share of points off the surfaces [0..1] and this distance [m]: after level ground all other ground fits
+worse."""
 ON_PLANES = 0.25
 """Least share of its points in voxels that have a plane."""
 DROP = 0.25, 0.1
@@ -171,9 +172,9 @@ class HealthMonitor:
     def doubt(self, reason: str, tracked: bool = False) -> None:
         """The robot may be elsewhere: scans must fit beyond doubt, `recover` of them in a row.
 
-        `tracked`: a second opinion about a robot that was tracked until now. Its scans need not fit as well as is usual: where it has just
-        come to, they may not have done so before either, and as long as they are refused the map does not learn what is new there.
-        """
+        `tracked`: a second opinion about a robot that was tracked until now. Its scans need not fit as well as is
+        usual. In new terrain they may not have done so before either, and while they are refused the map does not
+        learn what is new there."""
         self._tracked = tracked and not self.lost and (self._tracked or not self._doubt)
         self._doubt, self._fits = reason, 0
 
@@ -196,7 +197,8 @@ class HealthMonitor:
         return Health.GOOD, ""
 
     def lose(self, stamp: int, reason: str) -> tuple[Health, str]:
-        """At `stamp` [ns] nobody can know where the robot is, for this `reason`: scans must fit again, `recover` of them in a row."""
+        """From `stamp` [ns] on the pose is unknown, for this `reason`: scans must fit again, `recover` of them in a
+        row."""
         self.lost, self._fits = True, 0
         return Health.LOST, f"{reason}; dead reckoning for {self.gap(stamp):.1f} s"
 
@@ -217,8 +219,8 @@ class HealthMonitor:
         """Weigh a registration.
 
         `predicted`: (4, 4) pose before it; `prior`: (6, 6) covariance of that, axes as in `Verdict.covariance`;
-        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m]; `still`: wheels and gyro say that the robot stands.
-        """
+        `scans`: number of scans in the local map; `sigma`: systematic error of a registered surface [m]; `still`:
+        wheels and gyro say that the robot stands."""
         s = self.params
         covariance, direction, share = pose_covariance(match, sigma, prior)
         difference = np.concatenate(
@@ -301,12 +303,12 @@ class HealthMonitor:
         return self._tracked and not (self.lost or strange) and self.gap(stamp) <= self.params.gap_again
 
     def fits_again(self, match: Match, young: bool, tracked: bool = False) -> bool:
-        """A scan after a gap fits as well as those of a robot that knows where it is. Level ground fits everywhere: in a
-        wrong place up to 0.9 of a scan overlaps and up to 0.93 of that lies on surfaces, 3 to 9 cm off them.
+        """Whether a scan after a gap fits as well as those of a robot that knows where it is. Level ground fits
+        everywhere: in a wrong place up to 0.9 of a scan overlaps and up to 0.93 of that lies on surfaces, 3 to 9 cm
+        off them.
 
-        `young`: the local map has few scans. On open ground the rings of one scan make hardly any plane; where there is none, overlap has to do.
-        `tracked`: there was no gap, see `doubt`; then it fits as well as a scan must that is `good`.
-        """
+        `young`: the local map has few scans. On open ground the rings of one scan make hardly any plane; then overlap
+        must do. `tracked`: there was no gap, see `doubt`; then the scan must fit as well as a `good` one."""
         if young and match.on_planes < self.params.min_on_planes:
             return match.overlap >= self.params.overlap_again
         off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + SPARE)
@@ -321,12 +323,12 @@ class HealthMonitor:
 
 
 def pose_covariance(match: Match, sigma: float, prior: Array) -> tuple[Array, Array, float]:
-    """Covariance (6, 6) of a registration, least constrained direction (3,) of the position and its share of facing surface.
+    """Covariance (6, 6) of a registration, least constrained direction (3,) of the position, and its share of facing
+    surface.
 
-    Errors of the map and of its discretisation (`sigma` [m]) are shared by neighbouring points, and what noise did to the map
-    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. What is not observed says nothing.
-    `prior`: (6, 6) of the prediction, see `Observed.blurred`.
-    """
+    Neighbouring points share errors of the map and of its discretisation (`sigma` [m]). The following scans share
+    what noise did to the map (`residual`). So a scan counts as `INDEPENDENT` points, however many it has. What is not
+    observed says nothing. `prior`: (6, 6) of the prediction, see `Observed.blurred`."""
     seen = observed(match.information)
     covariance = seen.covariance((_variance(match, sigma) + seen.blurred(prior)) / INDEPENDENT)
     h = match.information / max(seen.weight, 1e-9)

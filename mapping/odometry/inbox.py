@@ -1,8 +1,8 @@
-"""Samples on their way into the odometry: checked, in stamp order, handed over when every topic has reached the scan's end.
+"""Samples on their way into the odometry: checked, in stamp order, released when every topic has reached the scan's
+end.
 
-Of several LiDARs the main one sets the pace. A sweep of another one goes along with the first sweep of the main one that
-ends after it; where the main one is silent or repeats itself, the other sets the pace.
-"""
+Of several LiDARs the main one sets the pace. A sweep of another LiDAR goes with the first main sweep that ends after
+it. If the main LiDAR is silent or repeats itself, the other sets the pace."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ JOINT_PERIOD = 18_000_000
 
 
 class Inbox:
-    """Samples that have arrived and are not used yet. A source clock that is set empties it and calls `on_jump(stamp)`."""
+    """Samples that have arrived and are not used yet. A source clock that is set empties it and calls
+    `on_jump(stamp)`."""
 
     def __init__(
         self,
@@ -45,7 +46,7 @@ class Inbox:
         shift: Mapping[LidarName, int],
         own: OwnFilter,
     ) -> None:
-        """`shift`: of every LiDAR, what is added to its stamps [ns]; may change. `own`: takes the robot itself out of sweeps."""
+        """`shift`: added to the stamps of each LiDAR [ns]; may change. `own`: removes the robot itself from sweeps."""
         self._own = own
         self.imu = SampleBuffer(6, 20_000)
         """Rows gyro [rad/s], specific force [m/s^2]."""
@@ -177,9 +178,8 @@ class Inbox:
         return bool(self._sweeps[self.pace])
 
     def next_sweep(self) -> Sweep | None:
-        """The oldest scan to be registered, once IMU, joints and what is due of other LiDARs have passed its end, or another
-        topic is `patience` ahead of it.
-        """
+        """The oldest scan to be registered. It waits until IMU, joints and due sweeps of other LiDARs have passed its
+        end, or until another topic is `patience` ahead of it."""
         if not any(self._sweeps.values()):  # most calls: a sample of IMU or joints came
             return None
         queue = self._sweeps[self.pace]
@@ -196,7 +196,7 @@ class Inbox:
         return None
 
     def beside(self, sweep: Sweep) -> list[Sweep]:
-        """Sweeps of the other LiDARs that belong to a registered `sweep`; those of before it was waited for are gone."""
+        """Sweeps of the other LiDARs that belong to a registered `sweep`; earlier ones are dropped."""
         out: list[Sweep] = []
         for name, queue in self._sweeps.items():
             while name != sweep.name and queue and queue[0].end <= sweep.end + SLACK:

@@ -1,10 +1,10 @@
 """Inertial dead reckoning: an error-state Kalman filter on gyro, accelerometer, wheel velocity and scan poses.
 
-State x (16,): position of the IMU in `odom` [m], its velocity in `odom` [m/s], orientation x, y, z, w of `odom` <- `base_link`,
-gyro bias [rad/s], accelerometer bias [m/s^2]. Error state (15,): position, velocity (both `odom`), rotation (`base_link`),
-gyro bias, accelerometer bias. The filter follows the IMU instead of base_link, so that neither the gyro has to be
-differentiated nor a lever arm enters the propagation. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017.
-"""
+State x (16,): position of the IMU in `odom` [m], its velocity in `odom` [m/s], orientation x, y, z, w of `odom` <-
+`base_link`, gyro bias [rad/s], accelerometer bias [m/s^2]. Error state (15,): position, velocity (both `odom`),
+rotation (`base_link`), gyro bias, accelerometer bias. The filter follows the IMU instead of base_link, so that
+neither the gyro has to be differentiated nor a lever arm enters the propagation. Solà, "Quaternion kinematics for the
+error-state Kalman filter", 2017."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from hal.types import GRAVITY, Array
 from mapping.odometry.inertial_kernels import correct, output, run, settle
 
 AT_REST, MOVING = 0.1, 3.0
-"""Tilt that the accelerometer tells at the start beside that of its bias, one standard deviation [deg]. Of 24 simulated starts, whose trunk still
-sways a little, 0.07 about each axis."""
+"""Tilt error of the accelerometer at the start beside that of its bias, one standard deviation [deg]. Of 24 simulated
+starts, whose trunk still sways a little, 0.07 about each axis."""
 
 AT_STANDSTILL = 0.01
 """Velocity of a body that stands, one standard deviation [m/s]."""
 STILL = 0.003
-"""Mean turn rate of a sweep beside the bias while the robot stands, one standard deviation: noise, and what is left of a sway [rad/s]."""
+"""Mean turn rate of a sweep beside the bias while the robot stands, one standard deviation [rad/s]: noise and the
+rest of a sway."""
 
 
 class InertialConfig(BaseModel):
@@ -93,9 +94,8 @@ class InertialFilter:
     def start(self, stamp: int, imu: Array, level: bool, velocity: Array | None, height: float) -> None:
         """Begin at the origin, heading 0, gravity-aligned.
 
-        `imu` (n, 6): the samples up to `stamp`; `level` says that they were taken at rest (then their means give tilt and gyro bias);
-        `velocity` (3,) of the body [m/s] if the wheels tell; `height`: base_link above z = 0 [m].
-        """
+        `imu` (n, 6): samples up to `stamp`; `level`: they were taken at rest, so their means give tilt and gyro bias;
+        `velocity` (3,) of the body [m/s] if the wheels tell; `height`: base_link above z = 0 [m]."""
         s = self.params
         self.stamp = stamp
         self.x[:] = 0.0
@@ -140,7 +140,8 @@ class InertialFilter:
         wheel: Array,
         wheel_sigma: Array,
     ) -> tuple[NDArray[np.int64], Array]:
-        """Propagate to `end` [ns]; see `run`. Returns the track: stamps (k,) and IMU poses (k, 10) from the old to the new stamp."""
+        """Propagate to `end` [ns]; see `run`. Returns the track: stamps (k,) and IMU poses (k, 10) from the old to
+        the new stamp."""
         rows = len(imu_stamp) + 2
         stamps, track = np.empty(rows, np.int64), np.empty((rows, 10))
         rows = run(
@@ -152,7 +153,8 @@ class InertialFilter:
         return stamps[:rows], track[:rows]
 
     def update_pose(self, pose: Array, covariance: Array) -> None:
-        """Correct with a measured base_link pose (4, 4) in `odom`; covariance (6, 6): position in `odom` [m], rotation in base_link [rad]."""
+        """Correct with a measured base_link pose (4, 4) in `odom`. covariance (6, 6): position in `odom` [m],
+        rotation in base_link [rad]."""
         rot = rotation(self.x[6:10])
         residual = np.concatenate(
             [pose[:3, 3] + pose[:3, :3] @ self.lever - self.x[:3], rotation_vector(rot.T @ pose[:3, :3])]
@@ -170,9 +172,9 @@ class InertialFilter:
         self.p = 0.5 * (self.p + self.p.T)
 
     def hold(self, x: Array, variance: Array, rate: float) -> None:
-        """The body stood since the state `x` (16,), whose place in x and y and heading had the `variance` (3,): they are those of then, only the trunk may
-        have swayed. The mean `rate` of its gyro about z [rad/s] is bias; those about x and y gravity tells.
-        """
+        """The body stood since the state `x` (16,), whose x, y and heading had the `variance` (3,). These are kept;
+        only the trunk may have swayed. The mean `rate` of the gyro about z [rad/s] is bias; gravity tells the biases
+        about x and y."""
         self.x[:2] = x[:2]
         then, now = rotation(x[6:10]), rotation(self.x[6:10])
         about_z(self.x[6:10], math.atan2(then[1, 0], then[0, 0]) - math.atan2(now[1, 0], now[0, 0]))
@@ -188,9 +190,8 @@ class InertialFilter:
         self.p = 0.5 * (self.p + self.p.T)
 
     def refuse(self, x: Array) -> None:
-        """What was integrated since the state `x` (16,) cannot be: the body is taken to be where it was then, at rest, with room for what it may have moved.
-        Its attitude is what the gyro tells.
-        """
+        """What was integrated since the state `x` (16,) is impossible. The body is taken to be where it was then, at
+        rest, with room for what it may have moved. Its attitude is that of the gyro."""
         self.x[:6], self.x[10:] = x[:6], x[10:]
         settle(self.x, self.p)
 

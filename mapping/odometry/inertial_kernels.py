@@ -1,4 +1,5 @@
-"""Kernels of the inertial filter: prediction, velocity update, and a run over a batch of samples. State: see `mapping.odometry.inertial`."""
+"""Kernels of the inertial filter: prediction, velocity update, and a run over a batch of samples. State: see
+`mapping.odometry.inertial`."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ MAX_STEP = 0.05
 SILENCE = 500_000_000
 """A stretch [ns] without inertial and wheel samples in which the body is taken to have come to rest:"""
 COASTED, UNSURE, TURNED = 0.2, 0.5, 0.2
-"""how far it may have gone [m], how fast it may be after all [m/s], and turned about its z axis [rad], one standard deviation."""
+"""how far it may have gone [m], how fast it may be after all [m/s], and turned about its z axis [rad], one standard
+deviation."""
 
 
 @njit(cache=True)
@@ -91,8 +93,8 @@ def correct(x: Array, dx: Array) -> None:
 def update_velocity(x: Array, p: Array, velocity: Array, sigma: Array, gate: float) -> int:
     """Three scalar updates with a velocity of the IMU point in base_link axes [m/s].
 
-    A component more than `gate` standard deviations off (slip, a spinning wheel) is left out. Returns how many were used.
-    """
+    A component more than `gate` standard deviations off (slip, a spinning wheel) is left out. Returns how many were
+    used."""
     used = 0
     h = np.zeros(15)
     ph = np.empty(15)
@@ -170,12 +172,12 @@ def run(
     """Advance x, p and the input u (6,) from `start` to `end` [ns] over the samples in between, in stamp order.
 
     `imu_stamp` (n,) int64 ascending > start, the last one may lie beyond `end` (it is interpolated); `imu` (n, 6);
-    `wheel_stamp` (m,), `wheel` (m, 3), `wheel_sigma` (m, 3): velocities, each applied at the first step end at or after its stamp. Poses
-    x[:10] after every step go to `track_stamp` (k,), `track` (k, 10). Returns rows written to the track.
+    `wheel_stamp` (m,), `wheel` (m, 3), `wheel_sigma` (m, 3): velocities, each applied at the first step end at or
+    after its stamp. Poses x[:10] after every step go to `track_stamp` (k,), `track` (k, 10). Returns rows written to
+    the track.
 
-    Over more than `SILENCE` without any sample nothing is integrated: a body that nobody hears is not commanded and comes to
-    rest, so the pose stays, with room for what it coasted.
-    """
+    Over more than `SILENCE` without any sample nothing is integrated: a body that nobody hears is not commanded and
+    comes to rest, so the pose stays, with room for what it coasted."""
     now = start
     w = 0
     rows = 0
@@ -227,9 +229,9 @@ def run(
 def output(x: Array, p: Array, u: Array, lever: Array, offset: Array, out: Array, covariance: Array) -> None:
     """State of base_link from the state of the IMU at `lever` (3,) in base_link.
 
-    `offset` (6,): position in `odom` [m] and small rotation in base_link [rad] to add. `out` (13,): position, orientation x y z w, linear and
-    angular velocity in base_link; `covariance` (6, 6): position in `odom`, rotation about the axes of `odom`.
-    """
+    `offset` (6,): position in `odom` [m] and small rotation in base_link [rad] to add. `out` (13,): position,
+    orientation x y z w, linear and angular velocity in base_link; `covariance` (6, 6): position in `odom`, rotation
+    about the axes of `odom`."""
     q = x[6:10].copy()
     turn(q, offset[3], offset[4], offset[5])
     rot = rotation(q)

@@ -20,14 +20,16 @@ GAP_ENDS = 3
 """Samples in a row that show that a stream is back after a gap."""
 JUMP_BACK = NS
 JUMP_AHEAD = 10 * NS
-"""A step of a topic's stamps beyond these [ns] is a wrong stamp, or, when the following samples confirm it, a new clock."""
+"""A step of a topic's stamps beyond these [ns] is a wrong stamp, or a new clock if the following samples confirm it."""
 
 
 class TopicClock:
-    """Lets only ascending stamps through. A clock that jumped (a 1970 boot clock that was set) is followed once it is confirmed, and so is a gap."""
+    """Lets only ascending stamps through. A clock that jumped (a 1970 boot clock that was set) is followed once it is
+    confirmed; so is a gap."""
 
     def __init__(self, name: str, confirm: int, counters: Counter[str], ahead: bool = True) -> None:
-        """`confirm`: samples in a row on the new clock before it is believed. `ahead`: a stamp that is `STAMP_AHEAD` needs some that follow."""
+        """`confirm`: samples in a row on the new clock before it is believed. `ahead`: a stamp that is `STAMP_AHEAD`
+        needs followers."""
         self.newest: int | None = None
         self._name, self._confirm, self._counters = name, confirm, counters
         self._ahead = ahead
@@ -74,11 +76,10 @@ class TopicClock:
 
 
 class SweepClock:
-    """Holds the stamps of one LiDAR against those of the IMU, both as they arrive.
+    """Compares the stamps of one LiDAR with those of the IMU, both as they arrive.
 
-    A sweep that ends ahead of the IMU has a wrong stamp. One that comes late has not, unless stamps went back first: no delay does that. Then
-    its clock was set back, and its sweeps are refused until they are as late as before.
-    """
+    A sweep that ends ahead of the IMU has a wrong stamp. A late sweep is right, unless its stamps went back first: no
+    delay does that. Then its clock was set back, and its sweeps are refused until they are as late as before."""
 
     def __init__(self) -> None:
         self._lag: float | None = None

@@ -207,8 +207,8 @@ class OwnParts:
         return moved >= MOVED or abs(turned) >= TURNED
 
     def look(self, sweeps: Sequence[tuple[Array, NDArray[np.float32], Array]], pose: Array) -> None:
-        """A sweep of each LiDAR: points (n, 3) in base_link as measured, the same (n, 3) at the end of the sweep, place of
-        the LiDAR (3,), [m]; and the robot's `pose` (4, 4) in `odom` at the end of the sweep."""
+        """A sweep of each LiDAR: points (n, 3) in base_link as measured, the same (n, 3) at the end of the sweep,
+        place of the LiDAR (3,), [m]; and the robot's `pose` (4, 4) in `odom` at the end of the sweep."""
         self._last = pose
         self._sweeps += 1
         here = np.zeros(self._side, np.bool_)

@@ -4,16 +4,15 @@
                  (filter)     (to scan end)  (engine)   (health)   (filter)
                                   └──> search, second opinion (KISS-ICP) ──^
 
-The sweeps of several LiDARs come deskewed to the same stamp and are registered together; the main one makes the local map. While the main
-one is silent the other takes its place, and the health is `degraded`.
+The sweeps of several LiDARs come deskewed to the same stamp and are registered together; the main one makes the local
+map. While the main one is silent the other takes its place, and the health is `degraded`.
 
 Results are a function of the samples, not of the order in which topics arrive: a scan waits until IMU and joints have
 passed its end, or until another topic is `patience` ahead. `FastPose` and `WheelOdometry` are the exception: they
 answer at once with what has arrived.
 
-Frame `odom`: below the robot's start, z up along gravity, x along the initial heading; z = 0 is the ground under the wheels
-when joints are known at the start, else base_link itself.
-"""
+Frame `odom`: below the robot's start, z up along gravity, x along the initial heading; z = 0 is the ground under the
+wheels when joints are known at the start, else base_link itself."""
 
 from __future__ import annotations
 
@@ -51,11 +50,13 @@ from mapping.odometry.wheels import WheelOdometry, velocities, ways_of_wheels
 
 ZERO = np.zeros(6)
 FASTEST, FALLS = 4.0, 1.6
-"""No robot gains more speed from one sweep to the next, also when it is thrown, and none goes up or down faster with its wheels on the ground [m/s]."""
+"""Largest gain of speed from one sweep to the next, also of a thrown robot, and largest vertical speed with wheels on
+the ground [m/s]."""
 TOLD = 1.0
 """A scan whose standard deviation ahead is larger [m] does not tell how far the robot came."""
 TYRES = 0.01
-"""What tyres slip on firm ground beside what the scans taught, as a share of the way, one standard deviation. Loose ground is worse."""
+"""Slip of tyres on firm ground beside what the scans taught, as a share of the way, one standard deviation. Loose
+ground is worse."""
 OVER_GROUND = [0, 1, 5]
 """Position in the plane and heading, of a (6, 6) covariance."""
 
@@ -136,12 +137,11 @@ class LidarInertialOdometry:
         self._inbox.take_scan(scan)
 
     def resume(self, pose: Array, cloud: NDArray[np.float32]) -> None:
-        """Call before the first sample to go on where another odometry ended: `pose` (4, 4) `odom` <- base_link, and what
-        was seen there, `cloud` (n, 3) base_link [m].
+        """Call before the first sample to continue another odometry: its last `pose` (4, 4) `odom` <- base_link, and
+        the `cloud` (n, 3) [m], base_link, that was seen there.
 
-        The first scan is registered to that cloud, so that neither pose nor map jumps by what the robot coasted meanwhile;
-        a robot that was carried further than registration reaches becomes `lost`.
-        """
+        The first scan is registered to that cloud, so neither pose nor map jumps by what the robot coasted meanwhile.
+        A robot that was carried further than registration reaches becomes `lost`."""
         self._before = Before(pose, np.ascontiguousarray(cloud, np.float32))
 
     def poll(self) -> list[ScanOdometry]:
@@ -243,7 +243,8 @@ class LidarInertialOdometry:
         return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
 
     def _register(self, predicted: Array, searching: bool) -> Match:
-        """Where the scan fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
+        """Where the scan fits: near the prediction, or where KISS-ICP finds it if the pose is in doubt or the scan
+        suddenly fits badly."""
         match = self._engine.align(predicted if self._seen is None else self._seen)
         young = self._engine.scans < self.params.health.young
         if self._monitor.fits_again(match, young) or not (searching or self._monitor.dropped(match)):
@@ -267,7 +268,8 @@ class LidarInertialOdometry:
     def _calibrate(
         self, since: int, before: Array, predicted: Array, pose: Array, covariance: Array, cloud: NDArray[np.float32], others: Mapping[LidarName, NDArray[np.float32]]
     ) -> None:  # fmt: skip
-        """The main LiDAR against the gyro, the others against the local map, the ground that each sees against the wheels."""
+        """Compare the main LiDAR with the gyro, the others with the local map, and the ground that each sees with the
+        wheels."""
         now, state = self._filter.stamp, self._filter.output(ZERO)
         rate = rotation_vector(before[:3, :3].T @ predicted[:3, :3]) * NS / (now - since)
         contacts = contacts_of(self._filter.limbs, self._joints.between(now - NS // 15, now)[1])
@@ -366,7 +368,8 @@ class LidarInertialOdometry:
         return stamps, track
 
     def _learn_scale(self, before: Array, interval: int, verdict: Verdict) -> None:
-        """Compare what the wheels rolled since `before` (4, 4), `interval` [ns] ago, with what the scans say, where they constrain the way ahead."""
+        """Compare the way of the wheels since `before` (4, 4), `interval` [ns] ago, with the scans, if they constrain
+        the way ahead."""
         after = self._filter.pose()
         if not (verdict.health is Health.GOOD and math.isfinite(self._rolled)):
             self._scale.forget()
@@ -377,7 +380,8 @@ class LidarInertialOdometry:
         self._stream.scale = self._scale.value
 
     def _slip_unseen(self, verdict: Verdict) -> None:
-        """Where no scan tells how far the robot came, its tyres may have slipped alike all the way: that error grows with the way, not with its root."""
+        """Where no scan tells how far the robot came, its tyres may have slipped alike all the way: the error grows
+        with the way, not with its root."""
         ahead = self._filter.pose()[:2, 0]
         if verdict.use and float(ahead @ verdict.covariance[:2, :2] @ ahead) < TOLD**2:
             self._blind = 0.0

@@ -32,7 +32,7 @@ class PoseStream:
         joints: SampleBuffer,
         monitor: HealthMonitor,
     ) -> None:
-        """`smoothing` [s]: time constant with which scan corrections are faded in. The buffers are the odometry's own."""
+        """`smoothing` [s]: time constant with which scan corrections fade in. The buffers are the odometry's own."""
         self.fast = InertialFilter(params)
         self.dead = InertialFilter(params)
         self.scale = 1.0

@@ -1,4 +1,5 @@
-"""A stream that repeats itself is dead, however fresh its stamps: real values have noise, so the same ones come back by chance only."""
+"""A stream that repeats itself is dead, however fresh its stamps: real values have noise, so they repeat by chance
+only."""
 
 from __future__ import annotations
 

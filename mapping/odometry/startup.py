@@ -103,7 +103,8 @@ def resting(imu: Array) -> bool:
 
 
 def _unrotated(stamps: NDArray[np.int64], imu: Array, end: int, level: bool) -> Array:
-    """Inertial samples (n, 6) turned by the gyro into the axes of base_link at `end`, so that their mean shows gravity there."""
+    """Inertial samples (n, 6) rotated by the gyro into the axes of base_link at `end`, so that their mean shows
+    gravity there."""
     if level or not len(imu):
         return imu
     out = imu.copy()

@@ -7,18 +7,20 @@ import numpy as np
 from hal.types import Array
 
 ROLLING = 0.2
-"""Largest speed of a wheel that stands, noise included [rad/s]: 17 mm/s at the tread. Of wheels that stand 0.14 at most, sampled at 50 Hz."""
+"""Largest speed of a standing wheel, noise included [rad/s]: 17 mm/s at the tread. Standing wheels showed 0.14 at
+most, at 50 Hz."""
 DRIVING = 0.02
 """Largest mean velocity by the wheels and legs over a sweep [m/s]; of a robot that stands 0.014."""
 TURNING = 0.01
-"""Largest mean turn rate over a sweep, beside the known bias [rad/s]; 0.009 while the trunk sways after the start, 0.003 later."""
+"""Largest mean turn rate over a sweep, beside the known bias [rad/s]; 0.009 while the trunk sways after the start,
+0.003 later."""
 SAMPLES = 10
 """Fewer inertial samples say nothing about that mean."""
 
 
 def still(imu: Array, bias: Array, joints: Array, velocity: Array) -> bool:
-    """Over one sweep: inertial samples (n, 6) beside the `bias` (3,) of the gyro, joint samples (m, 48) and the velocities (m, 3) that these tell, of wheels
-    that are on the ground."""
+    """Whether the robot stood over one sweep: inertial samples (n, 6) with the `bias` (3,) of the gyro, joint samples
+    (m, 48), and the velocities (m, 3) that these tell, of wheels on the ground."""
     if len(imu) < SAMPLES or len(joints) < 2:
         return False
     turning = np.abs(imu[:, :3].mean(axis=0) - bias).max()

@@ -88,9 +88,9 @@ class ScanOdometry:
     correction: float
     """Distance by which registration moved the prediction [m]."""
     clouds: Mapping[LidarName, NDArray[np.float32]]
-    """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link; none where the registration was refused."""
+    """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link; none if the registration was refused."""
     place_sigma: float
-    """Standard deviation of x and y in `odom` [m]: since the start, not since the map was made that the scan lies on."""
+    """Standard deviation of x and y in `odom` [m] since the start, not relative to the local map."""
     lidars: tuple[LidarFit, ...] = ()
     """Clock of each LiDAR, as found."""
     fault: str = ""

@@ -1,6 +1,6 @@
 """Distance of the robot per metre of wheel: tyres slip a few percent under load, and the scans tell how many.
 
-What they slip beyond that, on an edge or on loose ground, comes and goes: while it lasts the wheels are believed less."""
+Slip beyond that, on an edge or on loose ground, comes and goes. While it lasts the wheels count less."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ SLIPPING = 3.0
 
 
 class WheelScale:
-    """Scalar Kalman filter on the ratio of driven to rolled distance. Only scans that constrain the forward direction count."""
+    """Scalar Kalman filter on the ratio of driven to rolled distance. Only scans that constrain the forward direction
+    count."""
 
     def __init__(self) -> None:
         self.value = 1.0
@@ -33,8 +34,8 @@ class WheelScale:
         return SLIPPING * max(abs(self._slip) - self._doubt, 0.0)
 
     def learn(self, rolled: float, driven: float, seconds: float, sigma: float) -> None:
-        """Add the distances [m] of one scan interval, along the body's x axis: by the wheels (unscaled) and by the scans, whose
-        standard deviation is `sigma` [m]: what that explains is no slip."""
+        """Add the distances [m] of one scan interval along the body's x axis: by the wheels (unscaled), and by the
+        scans with their standard deviation `sigma` [m]. What `sigma` explains is no slip."""
         self._slip += SMOOTHING * ((driven - self.value * rolled) / seconds - self._slip)
         self._doubt = 2.0 * SMOOTHING * sigma / seconds
         self._rolled += rolled

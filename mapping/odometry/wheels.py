@@ -1,9 +1,8 @@
-"""Body velocity from what the legs do: wheel speed, leg kinematics and contact.
+"""Body velocity from wheel speed, leg kinematics and contact.
 
-A wheel that carries load does not slip, so the point of it that touches the ground stands still in the world. That gives one
-velocity of the trunk per wheel; their mean is the measurement, their spread says how much they slip. A skid-steered turn
-makes the wheels slip sideways against each other, which the mean cancels.
-"""
+A loaded wheel does not slip, so its contact point stands still in the world. That gives one velocity of the trunk per
+wheel. Their mean is the measurement; their spread tells how much they slip. In a skid-steered turn the wheels slip
+sideways against each other, which the mean cancels."""
 
 from __future__ import annotations
 
@@ -40,21 +39,22 @@ class WheelOdometry:
 
 
 LASTS = 0.25, 0.25, 100.0
-"""How much the spread of the wheels' velocities counts, body x, y, z. Sideways and ahead they slip against each other, and the mean cancels it. Up and down they
-disagree where some climb a face: their contact is not below them then, and all of it is wrong the same way for a second, 50 samples.
-Of ten drives over kerbs of 20 cm (25, 100, 400 tried) the height was 25, 22, 21 mm off at most, in the mean of the drives; with 0.25 44 mm."""
+"""Weight of the spread of the wheels' velocities, body x, y, z. Ahead and sideways the wheels slip against each
+other, and the mean cancels it. Up and down they disagree while some climb a face: their contact is not below them,
+and the mean is wrong the same way for a second, 50 samples. Ten drives over kerbs of 20 cm: the height was 25, 22, 21
+mm off at most with weights of 25, 100, 400 (mean of the drives); with 0.25 it was 44 mm."""
 
 
 @njit(cache=True)
 def wheel_velocities(
     limbs: Limbs, q: Array, dq: Array, tau: Array, gyro: Array, velocity: Array, height: Array
 ) -> None:
-    """What each wheel alone tells: velocity of base_link [m/s], base_link axes, into `velocity` (4, 3), and its height
-    above the contact [m], along the normal of the plane under the wheels, into `height` (4,). NaN where it does not touch.
+    """Velocity of base_link [m/s] by each wheel alone, base_link axes, into `velocity` (4, 3); its height above the
+    contact [m], along the normal of the plane under the wheels, into `height` (4,). NaN for a wheel that does not
+    touch.
 
-    `q`, `dq`, `tau`: (16,) as `hal.limbs.MOTORS`; `gyro` (3,) without bias. All efforts exactly zero means that they are
-    not reported: every wheel counts, as of a robot whose wheels sit on the body.
-    """
+    `q`, `dq`, `tau`: (16,) as `hal.limbs.MOTORS`; `gyro` (3,) without bias. If all efforts are exactly zero they are
+    not reported: then every wheel counts, as of a robot whose wheels sit on the body."""
     centre = wheel_centres(limbs, q)
     jacobian = wheel_jacobians(limbs, q)
     # Normal of the plane through the wheel centres, from its diagonals FL-RR and FR-RL.
@@ -112,11 +112,11 @@ def leg_velocity(
     sigma: Array,
     contact: NDArray[np.bool_],
 ) -> float:
-    """Velocity of base_link [m/s], base_link axes, into `out` (3,), its standard deviation into `sigma` (3,), contact into (4,).
+    """Velocity of base_link [m/s], base_link axes, into `out` (3,), its standard deviation into `sigma` (3,), contact
+    into (4,).
 
     `q`, `dq`, `tau`, `gyro`: see `wheel_velocities`; `noise` (3,): standard deviation without slip. Returns base_link's
-    height above the plane under the wheels [m]; NaN (and infinite sigma) when no wheel touches.
-    """
+    height above the plane under the wheels [m]; NaN (and infinite sigma) when no wheel touches."""
     each, heights = np.empty((4, 3)), np.empty(4)
     wheel_velocities(limbs, q, dq, tau, gyro, each, heights)
     count = 0
@@ -159,9 +159,9 @@ def velocities(
 ) -> tuple[Array, Array, Array]:
     """`leg_velocity` for a batch, moved to the IMU.
 
-    `joints` (m, 48): q, dq, tau; `imu` (n, 6) with stamps ascending (the gyro is interpolated); `bias` (3,) of the gyro;
-    `lever` (3,) IMU in base_link [m]; `scale`: driven per rolled distance. Returns velocity (m, 3) [m/s], sigma (m, 3), height (m,) [m].
-    """
+    `joints` (m, 48): q, dq, tau; `imu` (n, 6) with stamps ascending (the gyro is interpolated); `bias` (3,) of the
+    gyro; `lever` (3,) IMU in base_link [m]; `scale`: driven per rolled distance. Returns velocity (m, 3) [m/s], sigma
+    (m, 3), height (m,) [m]."""
     m, n = len(joint_stamp), len(imu_stamp)
     out, sigma, height = np.zeros((m, 3)), np.empty((m, 3)), np.empty(m)
     contact = np.empty(4, np.bool_)
@@ -193,8 +193,8 @@ def velocities(
 
 
 def ways_of_wheels(limbs: Limbs, joints: Array, gyro: Array, seconds: float) -> Array:
-    """(4,) way ahead [m] that each wheel rolled in `seconds`, by joint samples (m, 48) and the mean turn rate `gyro` (3,)
-    without bias. A wheel that never touched has the mean of the others; NaN where none did."""
+    """(4,) way ahead [m] that each wheel rolled in `seconds`, from joint samples (m, 48) and the mean turn rate
+    `gyro` (3,) without bias. A wheel that never touched has the mean of the others; NaN if none did."""
     each, height = np.empty((len(joints), 4, 3)), np.empty(4)
     for row, out in zip(joints, each, strict=True):
         wheel_velocities(limbs, row[:16], row[16:32], row[32:], gyro, out, height)

@@ -1,8 +1,8 @@
 """Columns of height slices as bits of one word: a map, pooled coarse to fine, and a submap laid onto it.
 
-Bit k of a word stands for the slice from `base + k SLICE` on. A window of cells is pooled by OR, so the bits of a pooled cell hold
-whatever any cell of the window holds: the score of a submap on it is never below that on a cell of the window.
-"""
+Bit k of a word stands for the slice that begins at `base + k SLICE`. A window of cells is pooled by OR, so a pooled
+cell holds the bits of every cell of its window. The score of a submap on it is never below the score on a single cell
+of the window."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def ones(word):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def occupy(points, x0, y0, base, cell, columns):  # pragma: no cover - compiled
-    """Set the slices within half a slice of each point (n, 3) [m] in the cells around it: a voxel's mean lies up to half a voxel off.
+    """Set the slices within half a slice of each point (n, 3) [m] in the cells around it: a voxel's mean lies up to
+    half a voxel off.
 
-    columns (rows, cols) uint64; cell [0, 0] is centred on x0, y0.
-    """
+    columns (rows, cols) uint64; cell [0, 0] is centred on x0, y0."""
     rows, cols = columns.shape
     for n in range(len(points)):
         c = np.int64(np.rint((points[n, 0] - x0) / cell))
@@ -46,10 +46,10 @@ def occupy(points, x0, y0, base, cell, columns):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def settle(height, trusted, x, y, resolution, x0, y0, base, cell, levels):  # pragma: no cover - compiled
-    """Set the slice nearest to the height of each trusted cell of a block of ground (rows, cols) [m], whose cell [0, 0] is centred on x, y.
+    """Set the slice nearest to the height of each trusted cell of a block of ground (rows, cols) [m], whose cell [0,
+    0] is centred on x, y.
 
-    levels (rows, cols) uint64; cell [0, 0] is centred on x0, y0.
-    """
+    levels (rows, cols) uint64; cell [0, 0] is centred on x0, y0."""
     for i in range(height.shape[0]):
         r = np.int64(np.rint((y + i * resolution - y0) / cell))
         for j in range(height.shape[1]):
@@ -63,7 +63,7 @@ def settle(height, trusted, x, y, resolution, x0, y0, base, cell, levels):  # pr
 
 @njit(cache=True)
 def pool(fine, step):  # pragma: no cover - compiled
-    """OR of each cell with those `step` further along rows, columns and both: windows twice as wide from windows of `step`."""
+    """OR of each cell with those `step` further along rows, columns and both: windows of twice the width."""
     rows, cols = fine.shape
     out = fine.copy()
     for i in range(rows):
@@ -79,11 +79,11 @@ def pool(fine, step):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def matched(columns, width, row, col, shift, offsets, words):  # pragma: no cover - compiled
-    """Number of the submap's bits that the map has, with the robot at [row, col] and its ground `shift` slices above the map's base.
+    """Number of the submap's bits that the map has, with the robot at [row, col] and its ground `shift` slices above
+    the map's base.
 
-    columns: pooled over windows of `width` cells. offsets (n, 2) rows and columns from the robot, words (n,) uint64 whose bit
-    SLICES // 2 is the slice on the robot's ground.
-    """
+    columns: pooled over windows of `width` cells. offsets (n, 2): rows and columns from the robot. words (n,) uint64:
+    bit SLICES // 2 is the slice on the robot's ground."""
     rows, cols = columns.shape
     found = 0
     lift = shift - SLICES // 2

@@ -1,8 +1,7 @@
 """Where in a prior map does the robot stand? Search, register, verify, decide.
 
 submap ──> places that match the map's columns ──> registered exactly ──> what speaks for and against ──> one, several, none
-          (search: branch and bound)              (verify: small_gicp)    (verify)                        (here)
-"""
+          (search: branch and bound)              (verify: small_gicp)    (verify)                        (here)"""
 
 from __future__ import annotations
 
@@ -23,8 +22,9 @@ from mapping.relocalise.verify import Surfaces, bare_ground
 ENOUGH = 0.5
 """A place is possible when this share more of the submap speaks for it than against it."""
 MARGIN, LOOKS = 0.24, 3
-"""Two places whose certainty differs by less than this after one look are the same, by a share of it after more, up to so many: what boxes that
-were moved make up evens out. In 480 places of a lane that looks the same from its ends the wrong end led by at most 0.21, 0.06 and 0.01."""
+"""Candidates whose certainty differs by less than MARGIN / min(looks, LOOKS) are ambiguous: errors from moved boxes
+average out over looks. In 480 places of a lane that looks the same from its ends the wrong end led by at most 0.21,
+0.06 and 0.01."""
 STRUCTURE = 150
 """Points of a submap that stand on the ground below which nothing can be told: open ground."""
 NEAR = (1.0, math.radians(30.0))
@@ -67,9 +67,8 @@ class PriorMap:
 def locate(
     prior: PriorMap, submap: Submap, hint: tuple[float, float, float] | None = None, told: bool = False
 ) -> Verdict:
-    """Search the whole map. hint: x, y [m], yaw [rad] where the robot is thought to stand: it decides between places that look the same;
-    `told`: by an operator, nothing else is searched.
-    """
+    """Search the whole map. hint: x, y [m], yaw [rad] of the assumed pose; it decides between places that look the
+    same. `told`: by an operator; then nothing else is searched."""
     found = possible(prior, submap, hint if told else None)
     return Verdict("open_ground") if found is None else decide(found, submap.stands, hint)
 

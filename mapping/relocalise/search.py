@@ -1,8 +1,8 @@
-"""Search over x, y, yaw and the level of the ground: branch and bound over a map pooled coarse to fine (Hess et al., ICRA 2016).
+"""Search over x, y, yaw and ground level: branch and bound over a map pooled coarse to fine (Hess et al., ICRA 2016).
 
-A node is a window of places, one heading and one level. Its bound is the score of the submap on the map pooled over that window. It is
-searched only while its bound may still give a place that is worth a closer look. Of places near each other the best is kept.
-"""
+A node is a window of places, one heading and one level. Its bound is the score of the submap on the map pooled over
+that window. It is searched only while its bound may still give a place worth a closer look. Of places near each other
+the best is kept."""
 
 from __future__ import annotations
 
@@ -122,9 +122,8 @@ def find_places(
 ) -> list[Place]:
     """Places of a submap, best first, at most `count`.
 
-    structure (n, 3) [m]: what stands above the ground, relative to the ground under the robot, z along gravity. near: x, y, yaw;
-    only places within `radius` [m] and `turn` [rad] of it are tried.
-    """
+    structure (n, 3) [m]: what stands above the ground, relative to the ground under the robot, z along gravity. near:
+    x, y, yaw; only places within `radius` [m] and `turn` [rad] of it are tried."""
     if len(structure) == 0:
         return []
     xy, words = as_columns(structure)
@@ -178,7 +177,8 @@ def same(a: Place, b: Place) -> bool:
 
 
 def as_columns(structure: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.uint64]]:
-    """Points (n, 3) [m] as columns of half a voxel: mean x, y (m, 2), and the slices that they fill (m,) as words; see `matched`."""
+    """Points (n, 3) [m] as columns of half a voxel: mean x, y (m, 2), and the filled slices (m,) as words; see
+    `matched`."""
     key = np.floor(structure[:, :2] / (2.0 * CELL)).astype(np.int64)
     _, column = np.unique(key, axis=0, return_inverse=True)
     column = column.reshape(-1)
@@ -195,11 +195,11 @@ def as_columns(structure: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDA
 def branch_and_bound(
     occupied, ground, offsets, words, window, least, keep, per_bin, turn_bins, bins, best
 ):  # pragma: no cover - compiled
-    """Fill `bins` (turns, rows, cols) with the best score of each bin and `best` (..., 4) with its heading, row, column and level, wherever
-    the score is at least `least` and `keep` of the best one. Returns the best score.
+    """Fill `bins` (turns, rows, cols) with the best score of each bin and `best` (..., 4) with its heading, row,
+    column and level, where the score is at least `least` and `keep` of the best one. Returns the best score.
 
-    occupied, ground: pooled maps, see `Columns`. offsets (headings, n, 2), words (n,): the submap. window: rows and columns from, to.
-    """
+    occupied, ground: pooled maps, see `Columns`. offsets (headings, n, 2), words (n,): the submap. window: rows and
+    columns from, to."""
     top = len(occupied) - 1
     wide = np.int64(1) << top
     # all windows of the coarsest map, one heading and one level each

@@ -1,4 +1,5 @@
-"""What the LiDARs saw while the robot stood, here and where it stood before: one cloud in `odom`, with the place of the eye of each point."""
+"""What the LiDARs saw while the robot stood, here and at earlier stands: one cloud in `odom`, with the sensor
+position of each point."""
 
 from __future__ import annotations
 
@@ -48,8 +49,8 @@ class Submap:
         eye: ArrayLike,
         below: float,
     ) -> None:
-        """One scan: points (n, 3) in base_link, pose of base_link in `odom` (3,), x, y, z, w (4,), the LiDAR in base_link (3,), and how far
-        the ground is below base_link [m]."""
+        """One scan: points (n, 3) in base_link; pose of base_link in `odom` (3,), x, y, z, w (4,); the LiDAR in
+        base_link (3,); height of base_link above the ground [m]."""
         turned = matrix_of(np.asarray(orientation, np.float64))
         place = np.asarray(position, np.float64)
         if self.scans == 0:
@@ -60,7 +61,8 @@ class Submap:
         self.yaw = rpy_of(turned)[2]
 
     def cloud(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points (n, 3) and the eyes that saw them (n, 3) [m], from the ground under the robot, along its heading and up."""
+        """Points (n, 3) and the sensor positions that saw them (n, 3) [m], relative to the ground under the robot,
+        along its heading and up."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         points, eyes = [np.empty((0, 3))], [np.empty((0, 3))]

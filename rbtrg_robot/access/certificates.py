@@ -232,7 +232,8 @@ def _rewrite(base: Path, names: list[str]) -> None:
 
 
 def _private_folder(path: Path) -> None:
-    """Made for its owner alone; one that is there stays as it is, if nobody else can put files there. Raises KeysError."""
+    """Create the folder for its owner alone. An existing one stays as it is, if nobody else can put files there.
+    Raises KeysError."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = path.stat()

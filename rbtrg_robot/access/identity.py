@@ -59,9 +59,8 @@ def problem(folder: Path) -> str:
 def client_tls(folder: Path) -> dict[str, Any]:
     """Zenoh's `transport.link.tls` of one who connects.
 
-    The name is not compared: a robot's address changes. The authority signs one certificate for servers, the robot's, and a
-    person's certificate is refused as a server's by its key usage.
-    """
+    The name is not compared: a robot's address changes. The authority signs one certificate for servers, the robot's,
+    and a person's certificate is refused as a server's by its key usage."""
     return {
         "root_ca_certificate": str(folder / CA),
         "enable_mtls": True,

@@ -1,9 +1,8 @@
 """A server of the Foxglove WebSocket protocol: the bytes of the bus to the app, goals and the emergency stop back.
 
-Written on `websockets` and not on foxglove-sdk: that server (0.30.3) takes every Origin, so any web page that is open in a browser on this
-computer could send goals, and it cannot tell the app that this is ROS (`ROS_DISTRO`), without which the app does not publish poses.
-Protocol: https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
-"""
+Written on `websockets`, not on foxglove-sdk. That server (0.30.3) takes every Origin, so any web page open in a
+browser on this computer could send goals. It also cannot tell the app that this is ROS (`ROS_DISTRO`), without which
+the app publishes no poses. Protocol: https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md"""
 
 from __future__ import annotations
 
@@ -121,10 +120,10 @@ class Foxglove:
         origins: Iterable[str] = (),
         say: Callable[[str], None] = print,
     ) -> None:
-        """`commands`: clients may send goals; the stop they always may. `origins`: web pages that may connect beside the app.
+        """`commands`: clients may send goals; the stop they may always send. `origins`: web pages that may connect
+        beside the app.
 
-        Raises BridgeError where the port is taken.
-        """
+        Raises BridgeError if the port is taken."""
         self._bus, self._say = bus, say
         self._back = {topic.name: topic for topic in (*STOP, *(BACK if commands else ()))}
         for topic in self._back.values():

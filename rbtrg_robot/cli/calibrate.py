@@ -51,7 +51,8 @@ COURSE = (
     *[Part(0.8, roll=side * TILT) for side in (1.0, -1.0)] * 3,
     Part(1.0),
 )
-"""Turns show clocks, and roll and pitch of a mount. Tilts of the trunk show its yaw; driving ahead shows it where the trunk cannot tilt."""
+"""Turns show clocks, and roll and pitch of a mount. Trunk tilts show its yaw; driving ahead does if the trunk cannot
+tilt."""
 
 
 def register(app: typer.Typer) -> None:
@@ -81,10 +82,11 @@ def calibrate_lidar(
     sets: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="One value of it.")] = None,
     robot: Robot = ROBOT,
 ) -> None:
-    """Print mounts and time offsets of the LiDARs. With their certainty, and parts of the robot that they see, for the configuration.
+    """Print mounts and time offsets of the LiDARs. With their certainty, and parts of the robot that they see, for
+    the configuration.
 
-    Let the robot stand for a second on level ground with walls in sight, then turn and drive it. Moves nothing without --drive.
-    """
+    Let the robot stand for a second on level ground with walls in sight, then turn and drive it. Moves nothing
+    without --drive."""
     from rbtrg_robot.config import ConfigError, load, of_log
     from rbtrg_robot.hosts.calibrate import as_yaml, calibrate, samples_of
     from rbtrg_robot.log.read import CONFIG, first_of
@@ -105,7 +107,8 @@ def calibrate_lidar(
 
 
 def _running(robot: str) -> bytes:
-    """Configuration of the running stack, YAML: mounts are found as an error of the configured ones. Raises ConfigError where it is not on this computer."""
+    """Configuration of the running stack, YAML: mounts are found as an error of the configured ones. Raises
+    ConfigError if it is not on this computer."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.config import ConfigError
     from rbtrg_robot.log.read import CONFIG
@@ -164,7 +167,7 @@ def _order(bus: Any, after: float, seen: int) -> None:
 
 
 def orders(after: float, stamp: int) -> list[tuple[Topic, Any]]:
-    """The velocity, and the tilt of the trunk, of `COURSE` `after` its begin [s], stamped with `stamp` [ns]; rest when it is over."""
+    """Velocity and trunk tilt of `COURSE`, `after` [s] its begin, stamped with `stamp` [ns]; rest when it is over."""
     from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.wire.messages import header

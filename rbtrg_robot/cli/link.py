@@ -24,7 +24,8 @@ def connect(robot: str) -> Bus:
 
 
 def scene(robot: str) -> tuple[str, dict[str, Any]]:
-    """The scene that the stack of this computer simulates, and its options; empty where there is none. Raises NotRunning."""
+    """The scene that the stack of this computer simulates, and its options; empty if there is none. Raises
+    NotRunning."""
     if remote() is not None:
         return "", {}
     state: dict[str, Any] = read_state(robot)

@@ -1,10 +1,10 @@
-"""`stop`: the emergency stop on the bus as fast as a process can start.
+"""`stop`: the emergency stop on the bus, as fast as a process can start.
 
-It imports the standard library and zenoh only (`access.identity`, `latch` and `orders.limits` keep to that too): the command's key and bytes are made by hand here, and a test compares
-them with those of `wire`. It needs no run folder: where there is none, or nobody answers there, it tries the default port. It sends
-until the robot says that it stopped for this stop: a state of before, or of somebody else's stop, is no answer. With RBTRG_CONNECT it stops the robot of that computer and no other: another one's
-answer would be taken for this one's.
-"""
+It imports the standard library and zenoh only (`access.identity`, `latch` and `orders.limits` keep to that too). The
+command's key and bytes are made by hand here, and a test compares them with those of `wire`. It needs no run folder:
+if there is none, or nobody answers there, it tries the default port. It sends until the robot says that it stopped
+for this stop; an earlier state, or one of another stop, is no answer. With RBTRG_CONNECT it stops the robot of that
+computer and no other, because another robot's answer would be taken for its own."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
 
 
 def command(words: list[str]) -> int:
-    """`rbtrg-robot stop [--robot NAME]`; returns the exit status. A word it does not know keeps nothing from being stopped."""
+    """`rbtrg-robot stop [--robot NAME]`; returns the exit status. An unknown word prevents no stop."""
     robot = meant()
     for number, word in enumerate(words):
         if word == "--robot" and number + 1 < len(words):
@@ -92,7 +92,8 @@ def _is_up(robot: str) -> bool:
 
 
 def places(robot: str) -> list[tuple[str, str]]:
-    """Endpoints and prefixes of keys to try in turn: that of another computer, or what the stack of this name wrote down and the default."""
+    """Endpoints and key prefixes to try in turn: that of another computer, or what the stack of this name wrote down
+    and the default."""
     far = remote()
     if far is not None:
         return [(far.endpoint, Scope.wanted(far.domain, robot))]
@@ -171,7 +172,8 @@ def order(stamp: int, name: int) -> bytes:
 
 
 def latch_in(payload: bytes) -> tuple[str, int] | None:
-    """Cause and number of the emergency stop in a rbtrg_msgs/RobotState; None where it is not latched or the bytes are broken."""
+    """Cause and number of the emergency stop in a rbtrg_msgs/RobotState; None if it is not latched or the bytes are
+    broken."""
     body = payload[4:]
     place = 8  # behind the stamp
 

@@ -125,7 +125,8 @@ def _keys() -> list[str]:
 
 
 def _velocity(forward: float, left: float, seen: int) -> Any:
-    """geometry_msgs/TwistStamped in base_link; `forward` in m/s, `left` in half rad/s; `seen`: newest stamp of the robot that came [ns]."""
+    """geometry_msgs/TwistStamped in base_link; `forward` in m/s, `left` in half rad/s; `seen`: newest stamp received
+    from the robot [ns]."""
     from rbtrg_robot import msg
     from rbtrg_robot.wire.messages import header
 

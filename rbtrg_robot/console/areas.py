@@ -1,5 +1,5 @@
-"""Areas that were drawn on the ground: files beside the runs, as `rbtrg-robot explore --area FILE` reads them; and where
-the robot stays in and keeps out of."""
+"""Areas drawn on the ground: files beside the runs, as `rbtrg-robot explore --area FILE` reads them; and the areas
+that the robot stays in and keeps out of."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""A process of the console's own, which ends with it: plays a run under another domain, or runs stages on it again.
+"""A process of the console that ends with it: plays a run under another domain, or runs stages on it again.
 
     python -m rbtrg_robot.console.child replay ENDPOINT DOMAIN RUN RATE START
     python -m rbtrg_robot.console.child rerun RUN OUT STAGES [a.b=c ...]
 
-A replay reads PAUSE and GO_ON from its stdin. Each line on its stdout is JSON: `seconds` of the log that are done, `paused`, `words` at the end, `wrong` where it did not work.
-"""
+A replay reads PAUSE and GO_ON from its stdin. Each line on its stdout is JSON: `seconds` of the log that are done,
+`paused`, `words` at the end, `wrong` if it did not work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Who operates: one page at a time, for as long as it says so every two seconds. Pure; times in s of a clock that never goes back."""
+"""Who operates: one page at a time, while it says so every two seconds. Pure; times in s of a clock that never goes
+back."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Runs in the page: one is played under another domain to the pages that ask for it; stages are run on one again.
+"""Runs in the page: a run is played under another domain to the pages that ask for it, or stages run on it again.
 
-Who looks at a replay commands nothing but the stop. What is played comes over a bus of its own, from a process that is never connected
-to the robot's domain.
-"""
+Who looks at a replay may command nothing but the stop. The replay comes over a bus of its own, from a process that is
+never connected to the robot's domain."""
 
 from __future__ import annotations
 

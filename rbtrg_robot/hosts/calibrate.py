@@ -80,8 +80,8 @@ def calibrate(
     params: OdometryConfig,
     own: Sequence[OwnPart] = (),
 ) -> tuple[list[Found], tuple[OwnPart, ...]]:
-    """Mounts and clocks of `lidars` from the samples of a motion; parts of the robot, those of `own` that are known and those that were seen in it.
-    Raises CalibrationError where they say too little."""
+    """Mounts and clocks of `lidars` from the samples of a motion; parts of the robot, the known ones of `own` and
+    those seen in the motion. Raises CalibrationError if the samples say too little."""
     mounted = {lidar.name: lidar for lidar in lidars}
     late: dict[LidarName, float] = dict.fromkeys(mounted, 0.0)
     for _ in range(PASSES):
@@ -120,7 +120,8 @@ def corrected(mount: Extrinsics, turned: Array, place: Array) -> Extrinsics:
 
 
 def as_yaml(found: Sequence[Found], configured: Sequence[float] = (), parts: Sequence[OwnPart] = ()) -> str:
-    """For `--config`; the comments tell one standard deviation. `configured`: the time_offset [s] that each LiDAR has already; `parts` of the robot."""
+    """YAML for `--config`; its comments tell one standard deviation. `configured`: present time_offset [s] of each
+    LiDAR; `parts` of the robot."""
     lines = ["lidars:"]
     before = configured or [0.0] * len(found)
     for f, old in zip(found, before, strict=True):

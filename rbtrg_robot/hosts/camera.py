@@ -1,8 +1,7 @@
 """The camera process: frames while somebody looks, once a second while they are recorded, none otherwise.
 
-In simulation it is a part of the simulator: it draws from the true pose, which no stage of the stack hears. It runs beside the physics, so
-that a slow picture delays no sample. Nothing is loaded before the first frame is due.
-"""
+In simulation it is a part of the simulator: it draws from the true pose, which no stage of the stack hears. It runs
+beside the physics, so a slow picture delays no sample. Nothing is loaded before the first frame is due."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages that were lost on their way: the publisher numbers them, and a stage that needs them all is told of a gap."""
+"""Lost messages: the publisher numbers its messages, and a stage that needs all of them is told of a gap."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What a stage knows at this instant, in names and words: its own figures, and what it holds of a place on the ground."""
+"""What a stage knows at this instant, in names and words: its own figures, and what it knows of a place on the
+ground."""
 
 from __future__ import annotations
 

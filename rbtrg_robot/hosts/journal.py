@@ -1,8 +1,7 @@
 """What a live process took from the bus, in order, and a re-run that does the same.
 
-A live process leaves out what newer messages overtook, and takes what comes while it computes later than the recorder does. The order of a
-log is therefore not the order of a process; its journal is.
-"""
+A live process leaves out what newer messages overtook. What comes while it computes it takes later than the recorder
+does. So the order of a log is not the order of a process; its journal is."""
 
 from __future__ import annotations
 
@@ -73,7 +72,8 @@ class Journal:
 
 
 def read_journals(entries: Iterable[Entry]) -> tuple[dict[str, deque[Step]], set[str]]:
-    """Steps of each process of a log, and who was restarted in it: the steps end there. Journals that are broken count for nothing."""
+    """Steps of each process of a log, and which were restarted in it: their steps end there. Broken journals do not
+    count."""
     steps: dict[str, deque[Step]] = {}
     restarted: set[str] = set()
     for entry in entries:

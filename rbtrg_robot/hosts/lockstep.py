@@ -89,8 +89,8 @@ class Lockstep:
         log: LogWriter | None = None,
         placed: tuple[float, float, float] | None = None,
     ) -> None:
-        """Stages named in `config.without` are left out. `placed`: x, y [m], yaw [rad] where the simulator puts the robot; None: where
-        `config` says that it is."""
+        """Stages named in `config.without` are left out. `placed`: x, y [m], yaw [rad] where the simulator puts the
+        robot; None: the configured start."""
         names = [p.name for p in PROCESSES if p.hosted and p.name not in config.without]
         self.robot = build(config if placed is None else config.model_copy(update={"origin": placed}))
         stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP / NS)}

@@ -1,7 +1,6 @@
-"""Who is who in a foreign bag: which topic is the LiDAR, the IMU, the wheels; by type, rate, frame and what the messages hold.
+"""Roles in a foreign bag: which topic is the LiDAR, the IMU, the wheels; by type, rate, frame and contents.
 
-A role that two topics could fill is not guessed: the operator names it with `--map ROLE=TOPIC`.
-"""
+A role that two topics could fill is not guessed: the operator names it with `--map ROLE=TOPIC`."""
 
 from __future__ import annotations
 
@@ -207,7 +206,8 @@ def _look(one: Probe, source: Source, log_time: int, data: bytes) -> None:
 
 
 def assign(probes: Mapping[str, Probe], named: Mapping[str, str]) -> dict[str, Probe]:
-    """The topic of each role. `named`: what the operator said, ROLE -> TOPIC. Raises RoleError where two topics could fill one."""
+    """The topic of each role. `named`: the operator's choice, ROLE -> TOPIC. Raises RoleError if two topics could
+    fill one."""
     chosen: dict[str, Probe] = {}
     for name, topic in named.items():
         if name not in NAMED:

@@ -1,4 +1,4 @@
-"""Makes a run of ours from a foreign bag: our topics, our types, our frames; what has no role here is handed on bit for bit."""
+"""Makes a run of ours from a foreign bag: our topics, types and frames. Topics without a role are copied bit for bit."""
 
 from __future__ import annotations
 
@@ -94,10 +94,10 @@ def look(
     urdf: Path | None = None,
     unit: str = "auto",
 ) -> Found:
-    """Find roles, mounts, clocks and units. `named`: ROLE -> TOPIC; `mounts`: ROLE -> pose in base_link; `unit` of the accelerometer: auto, m/s2, g.
+    """Find roles, mounts, clocks and units. `named`: ROLE -> TOPIC; `mounts`: ROLE -> pose in base_link; `unit` of
+    the accelerometer: auto, m/s2, g.
 
-    Raises RoleError, ConfigError, LogError.
-    """
+    Raises RoleError, ConfigError, LogError."""
     frames = Frames()
     if urdf is not None:
         frames.take_urdf(urdf)

@@ -1,4 +1,5 @@
-"""A run's folder as a rosbag2: `metadata.yaml` beside its files, for `ros2 bag`, rosbags and whoever else opens folders."""
+"""A run's folder as a rosbag2: `metadata.yaml` beside its files, for `ros2 bag`, rosbags and whoever else opens
+folders."""
 
 from __future__ import annotations
 

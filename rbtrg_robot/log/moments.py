@@ -1,4 +1,4 @@
-"""Moments that somebody will want to look at later: stops, falls, refusals. What is recorded thinly is recorded whole around them."""
+"""Moments worth a later look: stops, falls, refusals. Thinly recorded topics are recorded in full around them."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Sweeps as `recorder.profile=standard` writes them: a quarter of their size, and back to the same bytes.
 
-The values of a sweep are multiples of a quantum (`hal.types.POINT_QUANTUM`), and a point lies near the one before it on the same ring. So
-each field becomes a column of small whole numbers: the difference to the point before on the ring. Its bytes are
-compressed plane by plane, lowest bytes first. A value that is no such multiple (-0.0, NaN) is kept as it is, beside the columns.
-"""
+The values of a sweep are multiples of a quantum (`hal.types.POINT_QUANTUM`), and a point lies near the one before it
+on the same ring. So each field becomes a column of small whole numbers: differences to the point before on the ring.
+Its bytes are compressed plane by plane, lowest bytes first. A value that is no such multiple (-0.0, NaN) is kept as
+it is, beside the columns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from rbtrg_robot.wire.messages import MessageError, decode, encode
 COLUMNS = "rbtrg_columns"
 """`format` of points in columns."""
 VERBATIM = "rbtrg_verbatim"
-"""`format` of a whole PointCloud2 as it was on the wire: one whose fields are not those of `POINT_DTYPE`, or that is broken."""
+"""`format` of a whole PointCloud2 as it was on the wire: one whose fields are not those of `POINT_DTYPE`, or that is
+broken."""
 MOST_POINTS = 1 << 21
 """Points that a packed sweep may claim to have."""
 _QUANTA = {"x": POINT_QUANTUM, "y": POINT_QUANTUM, "z": POINT_QUANTUM, "intensity": 1.0, "time": TIME_QUANTUM}
@@ -43,7 +44,8 @@ class ForeignError(PackedError):
 
 
 def pack(payload: bytes) -> bytes:
-    """CompressedPointCloud2 (CDR) of a PointCloud2 (CDR). `unpack` gives the same bytes back, also those of a broken message."""
+    """CompressedPointCloud2 (CDR) of a PointCloud2 (CDR). `unpack` gives the same bytes back, also those of a broken
+    message."""
     cloud, data, form = msg.PointCloud2(), payload, VERBATIM
     with contextlib.suppress(MessageError, LayoutError):
         cloud = decode(payload, msg.PointCloud2)
@@ -93,7 +95,8 @@ def unpack(payload: bytes) -> bytes:
 
 
 def _pack_points(points: NDArray[np.void]) -> bytes:
-    """Frames of zstd, each behind its length: planes of the rings, then of each field its planes and what is kept as it is."""
+    """Frames of zstd, each behind its length: planes of the rings; then for each field its planes and the values kept
+    as they are."""
     ring = points["ring"].astype(np.int64)
     frames = _pack_column(ring)
     order = np.argsort(ring, kind="stable")
@@ -131,7 +134,8 @@ def _unpack_points(data: bytes, count: int) -> NDArray[np.void]:
 
 
 def _pack_column(values: NDArray[np.int64]) -> list[bytes]:
-    """Four planes of bytes of the differences, the lowest first. Small numbers of either sign have zeros in the upper ones."""
+    """Four planes of bytes of the differences, the lowest first. Small numbers of either sign have zeros in the upper
+    ones."""
     difference = np.diff(values, prepend=0)
     folded = ((difference << 1) ^ (difference >> 63)).astype("<u4")
     return [plane.tobytes() for plane in folded.view(np.uint8).reshape(-1, 4).T]

@@ -1,6 +1,5 @@
-"""A run seen from above, drawn from its log: the map as it was at the end (what is not trusted dark, what is assumed orange), the last path,
-and where the robot drove.
-"""
+"""A run seen from above, drawn from its log: the map at the end (untrusted dark, assumed orange), the last path, and
+the driven way."""
 
 from __future__ import annotations
 
@@ -25,7 +24,8 @@ STEP = 0.02
 
 
 def picture(log: Path, out: Path) -> float:
-    """Write FILE.png; returns the distance driven [m], by odometry. Raises LogError, ConfigError when there is no map to draw."""
+    """Write FILE.png; returns the distance driven [m], by odometry. Raises LogError, ConfigError if there is no map
+    to draw."""
     mirror, frame = MapMirror(), MapFrame()
     track: list[tuple[float, float]] = []
     path: list[tuple[float, float]] = []

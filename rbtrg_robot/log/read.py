@@ -1,4 +1,5 @@
-"""Reading of MCAP logs, up to their first damage. Sweeps that are packed (`rbtrg_robot.log.packed`) are what they were on the wire to every reader here."""
+"""Reading of MCAP logs up to their first damage. Packed sweeps (`rbtrg_robot.log.packed`) are unpacked for every
+reader here."""
 
 from __future__ import annotations
 
@@ -65,8 +66,8 @@ class LogContents:
 def read_log(
     path: Path, contents: LogContents | None = None, *, raw: bool = False
 ) -> Iterator[tuple[Entry, Schema | None, Channel]]:
-    """Messages in file order, up to the first damage; `raw`: packed sweeps as they are, to be copied. Raises LogError when it is no MCAP
-    file at all."""
+    """Messages in file order, up to the first damage; `raw`: packed sweeps stay packed, to be copied. Raises LogError
+    for a file that is no MCAP."""
     found = contents if contents is not None else LogContents()
     try:
         stream = open_regular(path)
@@ -126,7 +127,7 @@ def _records(stream: BinaryIO) -> Iterator[McapRecord]:
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Never more bytes than a chunk says it has, whatever its compressed data says. Raises ValueError for another number."""
+    """Never more bytes than a chunk claims, whatever its compressed data says. Raises ValueError for another number."""
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK:
         raise ValueError(f"a chunk of {size} bytes")
@@ -144,8 +145,8 @@ def _unpacked(chunk: Chunk) -> bytes:
 
 
 def log_files(path: Path) -> list[Path]:
-    """The files of a run: `path` itself, or all .mcap files of a folder in order, but for those of a recorder that was killed before it
-    wrote. Raises LogError."""
+    """The files of a run: `path` itself, or all .mcap files of a folder in order, except those of a recorder that was
+    killed before it wrote. Raises LogError."""
     if path.is_dir():
         written = [file for file in path.glob("*.mcap") if file.stat().st_size]
         files = sorted(written, key=lambda p: (len(p.name), p.name))

@@ -44,7 +44,7 @@ NOTHING = 0.1
 
 
 class Recorder:
-    """Writes log_0.mcap, log_1.mcap, ... into one folder. A disk that is full stops the recording, never the process."""
+    """Writes log_0.mcap, log_1.mcap, ... into one folder. A full disk stops the recording, never the process."""
 
     def __init__(
         self,

@@ -25,7 +25,8 @@ from rbtrg_robot.wire.bus import Bus
 LATE = 0.05
 """A message published this late [s] counts as late."""
 LONGEST_PAUSE = 60.0
-"""Nothing for longer [s] is no pause but a clock that was set, or a stamp that rolled over: it is told and not waited for."""
+"""A longer silence [s] is no pause but a clock that was set, or a stamp that rolled over: it is told and not waited
+for."""
 RATE_STEP = 1.1
 OF_PROCESSES = frozenset({t.HEARTBEAT, t.JOURNAL})
 """Told by processes that do not run in a replay."""
@@ -40,7 +41,8 @@ class ReplayError(OperatorError):
 
 
 def alone(bus: Bus) -> Callable[[], None]:
-    """A function that raises ReplayError once a robot is on the bus: its stack would take what is played for what is. Raises it now where one is."""
+    """Returns a function that raises ReplayError once a robot is on the bus: its stack would take the replay for
+    real. Raises it now if one is there."""
     came = threading.Event()
 
     def check() -> None:
@@ -139,7 +141,8 @@ def play(
     progress: Callable[[float, Controls], None] = lambda _seconds, _controls: None,
     stopping: Callable[[], bool] = lambda: False,
 ) -> Report:
-    """Publish once through. Latched values from before the offset are sent first. `check`: of `alone`. Raises LogError, ReplayError."""
+    """Publish once through. Latched values from before the offset are sent first. `check`: of `alone`. Raises
+    LogError, ReplayError."""
     report = Report()
     zero: int | None = None
     latched: dict[Topic, Entry] = {}

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 CHUNK_BYTES = 1024 * 1024
 ZSTD_LEVEL = 6
-"""A tenth smaller than level 3 for 2.5 times its CPU (44 instead of 18 ms per second of an XT16 and an L1); higher levels gain 2 %."""
+"""A tenth smaller than level 3 for 2.5 times its CPU (44 instead of 18 ms per second of an XT16 and an L1); higher
+levels gain 2 %."""
 # mcap 1.6.0 compresses with zstd's default and has no setting; pyproject pins that version.
 mcap.writer.zstandard = SimpleNamespace(compress=partial(zstandard.compress, level=ZSTD_LEVEL))  # type: ignore[assignment]
 MOST_TOPICS = 65_535
@@ -131,7 +132,7 @@ class LogWriter:
         self._writer.add_metadata(name, dict(metadata))
 
     def copy(self, entry: Entry, schema: Schema | None, channel: Channel) -> None:
-        """Append a message of another file with its schema, bit for bit, whatever it is. Two channels of one topic stay two."""
+        """Append a message of another file with its schema, bit for bit. Two channels of one topic stay two."""
         told = tuple(part for pair in sorted(channel.metadata.items()) for part in pair)
         schema_id = self._schema(schema.name, schema.encoding, schema.data) if schema else 0
         key = (entry.topic, entry.type, channel.message_encoding, str(schema_id), *told)
@@ -197,7 +198,7 @@ class LogWriter:
         self._stream.close()
 
     def abandon(self) -> None:
-        """Close without an index: what was flushed can be read, and `recover` makes an index. For a disk that takes no more."""
+        """Close without an index: flushed data can be read, and `recover` makes an index. For a disk that is full."""
         self._file.close()
 
     def __enter__(self) -> Self:

@@ -1,9 +1,8 @@
 """Missions as GeoJSON (RFC 7946), to be drawn and looked at in map tools.
 
-A step is a feature in the mission's order: `goto` a Point, every other one without a geometry, its settings in `properties` as in the
-mission file. Without an origin the coordinates are metres in frame `map` and the collection says so (`frame`), which GIS tools show on
-a plane; with one they are longitude and latitude.
-"""
+A step is a feature in the mission's order: `goto` a Point, every other one without a geometry, its settings in
+`properties` as in the mission file. Without an origin the coordinates are metres in frame `map` and the collection
+says so (`frame`), which GIS tools show on a plane; with one they are longitude and latitude."""
 
 from __future__ import annotations
 
@@ -42,7 +41,8 @@ class Origin:
         return EQUATOR * (1.0 - ECCENTRICITY2) / w**1.5, parallel
 
     def to_earth(self, x: float, y: float) -> tuple[float, float]:
-        """Longitude and latitude [deg] of a place in `map` [m]; 2 cm off at 500 m, as the ellipsoid is taken as flat here."""
+        """Longitude and latitude [deg] of a place in `map` [m]; 2 cm off at 500 m, as the ellipsoid is taken as flat
+        here."""
         meridian, parallel = self._radii()
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         east, north = c * x - s * y, s * x + c * y
@@ -96,10 +96,10 @@ def _flatten(
 
 
 def from_geojson(content: Any, what: str, origin: Origin | None = None) -> MissionFile:
-    """The mission in a FeatureCollection: ours, or one that was drawn, where points and the corners of lines become `goto`.
+    """The mission in a FeatureCollection: ours, or one that was drawn, where points and the corners of lines become
+    `goto`.
 
-    Raises MissionError; `what` names the file in it. Headings that a tool adds to a point as `yaw_deg` count.
-    """
+    Raises MissionError; `what` names the file in it. Headings that a tool adds to a point as `yaw_deg` count."""
     if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
         raise MissionError(f"{what} is no GeoJSON FeatureCollection")
     if origin is None and content.get("frame") != "map":

@@ -1,8 +1,8 @@
-"""Keys that drive: what is held now, as a terminal tells it. Pure; times in s of a clock that never goes back.
+"""Keys that drive: which are held now, as a terminal tells it. Pure; times in s of a clock that never goes back.
 
-A terminal repeats a held key and does not tell when it is let go: a key counts for a while after each time it came. The first
-repeat of a keyboard comes late (0.25 to 0.5 s), so a key that came once counts for as long as that, and a key that repeats for less.
-"""
+A terminal repeats a held key and does not tell when it is released, so a key counts for a while after each repeat.
+The first repeat of a keyboard comes late (0.25 to 0.5 s). So a key that came once counts that long, and a repeating
+key counts shorter."""
 
 from __future__ import annotations
 

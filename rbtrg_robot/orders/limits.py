@@ -1,4 +1,5 @@
-"""How often an order is repeated, and how long an answer may take [s]. Nothing is imported here: `stop` starts with it."""
+"""How often an order is repeated, and how long an answer may take [s]. Nothing is imported here: `stop` starts with
+it."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ class LatchFile:
         """Why the file could not be written last."""
 
     def read(self) -> bytes:
-        """A RobotState with a latched stop, on the wire; empty when nothing is latched. A broken file counts as latched."""
+        """A RobotState with a latched stop, on the wire; empty when nothing is latched. A broken file counts as
+        latched."""
         try:
             payload = self._path.read_bytes()
         except FileNotFoundError:
@@ -34,7 +35,8 @@ class LatchFile:
         return encode(RobotState(estop=True, estop_cause="latched before this start"))
 
     def follow(self, state: bytes, *, latched: bool) -> None:
-        """Write at every change, and again while a write fails: a full disk ends nothing. `state`: the newest RobotState on the wire."""
+        """Write at every change, and again while a write fails: a full disk ends nothing. `state`: the newest
+        RobotState on the wire."""
         if latched == self._latched:
             return
         try:

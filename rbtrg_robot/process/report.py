@@ -31,10 +31,10 @@ LINES, TAIL = 300, 128 * 1024
 
 
 def pack(out: Path, run: Path | None, status: bytes | None, port: int) -> list[str]:
-    """Write the archive `out` (.tar.gz). Returns what is missing in it and why; only an `out` that cannot be written raises (LogError).
+    """Write the archive `out` (.tar.gz). Returns what is missing in it and why; only an `out` that cannot be written
+    raises (LogError).
 
-    `run`: folder of a run, or None; `status`: of the running stack as JSON, or None; `port`: that the doctor tries.
-    """
+    `run`: folder of a run, or None; `status`: of the running stack as JSON, or None; `port`: that the doctor tries."""
     missing: list[str] = []
     try:
         with open(out, "wb", opener=private) as file, tarfile.open(fileobj=file, mode="w:gz") as archive:

@@ -119,8 +119,8 @@ def running() -> list[str]:
 def take_interface(interface: str, domain: int) -> socket.socket:
     """Hold a robot's network interface for this process: two stacks would command one robot. Raises RobotTaken.
 
-    An abstract socket is one for all users of the computer, and the system frees it however its owner ends. `domain`: of DDS.
-    """
+    An abstract socket is one for all users of the computer, and the system frees it however its owner ends. `domain`:
+    of DDS."""
     held = socket.socket(socket.AF_UNIX)
     try:
         held.bind(f"\0rbtrg-robot-{interface}-{domain}")
@@ -156,7 +156,8 @@ def console_file(robot: str) -> Path:
 
 
 def console_address(robot: str, role: str = "operator", *, token: bool = True) -> str:
-    """Where a browser comes in, once; without the token, where `rbtrg-robot console` leads. Empty where there is none."""
+    """The address for a browser, used once; without the token, the address that `rbtrg-robot console` opens. Empty if
+    there is none."""
     try:
         found: dict[str, str] = json.loads(console_file(robot).read_text())
         enter = f"{CONSOLE_ENTER}?token={found[role]}"

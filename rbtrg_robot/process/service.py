@@ -11,7 +11,8 @@ from hal.errors import OperatorError
 from rbtrg_robot.process.child import FATAL
 
 WATCHDOG = 30
-"""[s] without a sign of life of the supervisor's loop. It may wait for a new zygote, which imports for seconds on a busy computer."""
+"""[s] without a sign of life of the supervisor's loop. It may wait for a new zygote, whose imports take seconds on a
+busy computer."""
 START = 600
 """[s] until ready: a cold start compiles the kernels."""
 STOP = 20
@@ -79,7 +80,7 @@ ProtectKernelLogs=yes
 ProtectControlGroups=yes
 RestrictNamespaces=yes
 """
-"""What a manager without privileges may not be able to set up. Not MemoryDenyWriteExecute: numba compiles at run time."""
+"""What a manager without privileges may be unable to set up. Not MemoryDenyWriteExecute: numba compiles at run time."""
 
 
 class ServiceError(OperatorError):

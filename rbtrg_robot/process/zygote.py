@@ -257,7 +257,7 @@ def _next(requests: BinaryIO) -> bytes:
 
 
 def _go_on(signal_read: int) -> None:
-    """Wait for the zygote's word; a process whose zygote ended before it was announced ends too, or it would run twice."""
+    """Wait for the zygote's word. A process whose zygote ended before announcing it ends too, or it would run twice."""
     if not os.read(signal_read, 1):
         os._exit(0)
 

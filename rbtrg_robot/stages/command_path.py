@@ -19,7 +19,8 @@ UNKNOWN = "unknown request"
 HANDS_LAST = NS
 """[ns] the age of what hands saw is told after their last command."""
 MOST = 1 << 62
-"""No latch that was told is numbered so high: what rises from there has no room in a message, and the next stop would end this process."""
+"""Latch numbers from here on are not taken over: what rises from there does not fit into a message, and the next stop
+would end this process."""
 
 
 class CommandPath:
@@ -42,8 +43,8 @@ class CommandPath:
         """Commands and requests that did not reach the gate, by reason."""
 
     def drive(self, source: Source, message: msg.TwistStamped, sender: str, now: int) -> None:
-        """A velocity command of `sender`. That of hands counts from now on, for their clock is another one: its stamp is the newest one of
-        the robot that they saw."""
+        """A velocity command of `sender`. A command by hand counts from its arrival, because its clock is another
+        one: its stamp is the newest stamp of the robot that the sender saw."""
         stamp = self._counts(source, message, sender, now)
         if stamp is not None:
             v, turn = message.twist.linear, message.twist.angular

@@ -217,8 +217,8 @@ class ElevationStage:
                     self.map.clean()
         if seen and self._scans % self._params.clean_every == 0:
             self.map.find_plants()
-        # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not look at; nor where the wheels come to
-        # ground before a LiDAR has seen it.
+        # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not
+        # look at; nor where the wheels come to ground before a LiDAR has seen it.
         looks = "head" not in self._sensors or len(clouds.get("head", NOTHING)) > 0
         self.map.grant(self._silent.get("head", 0) < SILENT_SCANS and not self._crept)
         if joints is not None:

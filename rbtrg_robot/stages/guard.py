@@ -231,7 +231,8 @@ class GuardStage:
         newest = max(both)
         if newest < self._stamp:
             return
-        # The head's sweeps stand in for the main ones alone: 2 cm beside a wall the noise of an L1 holds the robot, and the map has what it sees.
+        # Head sweeps replace main sweeps only: 2 cm beside a wall the noise of an L1 would hold the robot, and the
+        # map has what the head sees.
         clouds = self._clouds[newest]
         points = clouds.get(t.CLOUD, NO_POINTS) if main else np.concatenate([NO_POINTS, *clouds.values()])
         x, y = points[:, 0], points[:, 1]

@@ -1,4 +1,4 @@
-"""What an elevation process that was started anew takes over from the one before, how long it waits for that, and when it gives it up."""
+"""What a restarted elevation process takes over from its predecessor, how long it waits, and when it gives up."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from rbtrg_robot import msg
 from rbtrg_robot.wire.convert import map_patch
 
 RESTORE_PATIENCE = 3_000_000_000
-"""A planner that says something so long after it was asked, or after the last part of its copy of the map came, has no more of it [ns]."""
+"""A planner that says something this long after the request, or after the last part of its copy of the map, has no
+more of it [ns]."""
 SILENT_PLANNER = 35_000_000_000
 """Longest wait for one that says nothing [ns]: it may search all that time, and the supervisor ends it after 30 s."""
 MOST_EPOCHS = 2**31
@@ -20,10 +21,10 @@ def possible(status: msg.MapStatus) -> bool:
 
 
 class Handover:
-    """Parts of the planner's copy of the map in, the word that it is whole or lost out.
+    """Takes parts of the planner's copy of the map, and tells whether it is whole or lost.
 
-    Nothing may be mapped while it is under way. It begins no map: what is lost is the stage's to begin anew. Times in ns of the source clock.
-    """
+    Nothing may be mapped meanwhile. It begins no map: after a loss the stage begins anew. Times in ns of the source
+    clock."""
 
     def __init__(self, elevation: ElevationMap) -> None:
         self._map = elevation

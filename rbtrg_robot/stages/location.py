@@ -83,7 +83,7 @@ class Location:
         hint: Planar,
         finder: OwnFinder | None = None,
     ) -> Location:
-        """Search in a map that came as patches, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
+        """Search in a map that came as patches, called `name`. hint: assumed offset of `odom` in `map`."""
         out = cls(finder)
         out._name, out._hint = name, hint
         if len(cloud):

@@ -10,7 +10,8 @@ HOLD = 0.25
 
 
 class Look:
-    """What the trunk is to do when. It begins when the robot has stood for `STANDS`, and follows at `TILT_RATE`, as the gate asks for. Times in ns."""
+    """Schedule of the trunk for a look. It begins when the robot has stood for `STANDS`, and follows at `TILT_RATE`,
+    as the gate requires. Times in ns."""
 
     def __init__(self, pitch: float) -> None:
         """`pitch` [rad], nose down."""

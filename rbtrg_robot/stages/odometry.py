@@ -57,10 +57,10 @@ NOTHING = np.empty((0, 3), np.float32)
 
 class OdometryStage:
     """Sensor messages in, poses and deskewed clouds out.
-    In: IMU, joints, sweeps of every LiDAR, where an operator says that the robot stands. Out: the pose at the end of each scan, a pose at 200 Hz for
-    control, wheel odometry, deskewed clouds, tf, health. It decides how far its pose can be believed: good,
-    degraded or lost. It never stops the robot: others act on its health.
-    """
+
+    In: IMU, joints, sweeps of every LiDAR, the robot's pose as an operator tells it. Out: the pose at the end of each
+    scan, a pose at 200 Hz for control, wheel odometry, deskewed clouds, tf, health. It decides how far its pose can
+    be believed: good, degraded or lost. It never stops the robot: others act on its health."""
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class OdometryStage:
         return outputs
 
     def _resume(self, cloud: msg.PointCloud2) -> None:
-        """The cloud of the last pose lets the first scan find its place; without it the distance that the robot coasted is lost."""
+        """The cloud of the last pose places the first scan; without it the distance that the robot coasted is lost."""
         if self._before is None or stamp_of(cloud) != self._before_stamp:
             return
         pose = np.eye(4)
@@ -189,7 +189,7 @@ class OdometryStage:
         )
 
     def _place(self, message: msg.PoseWithCovarianceStamped) -> Outputs:
-        """An operator says where the robot stands in `map`. Nothing while it moves: its place is old when it comes here."""
+        """An operator tells the robot's pose in `map`. Ignored while it moves: the told place is old when it arrives."""
         place, odom = message.pose.pose.position, self._odom
         yaw = yaw_of(message.pose.pose.orientation)
         known = (
@@ -200,7 +200,8 @@ class OdometryStage:
         return self._take_offset(*offset_of((place.x, place.y, yaw), odom))
 
     def _take_offset(self, x: float, y: float, turn: float) -> Outputs:
-        """`odom` lies at x, y [m], turned by `turn` [rad] in `map`. Not taken while the robot moves: whoever drives it would lose the way."""
+        """`odom` lies at x, y [m], turned by `turn` [rad] in `map`. Refused while the robot moves: its driver would
+        lose the way."""
         odom = self._odom
         known = all(map(math.isfinite, (x, y, turn))) and max(abs(x), abs(y)) < FARTHEST
         if odom is None or not known or not stands(odom):

@@ -50,8 +50,8 @@ CLOCK_EVERY = 2
 STATE_PERIOD = NS // 10
 DIAGNOSTICS_PERIOD = NS
 SETTLE = NS
-"""A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
-tracker that its goal is over when it appears."""
+"""Time [ns] that a restarted process gets to end what it left. A restarted navigator appears before it has told the
+tracker that its goal is over."""
 POSE_LIMIT = 0.3
 """Odometry older than this [s], or as far in the future, says nothing about motion."""
 
@@ -59,10 +59,9 @@ POSE_LIMIT = 0.3
 class RobotStage:
     """Commands in, sensor messages out; a backend and the safety gate between them.
 
-    In: velocity commands, tilts of the trunk, requests, poses, which processes live. Out: IMU, joints, sweeps, robot state, and
-    the simulator's clock and truth. It decides whether a velocity or a tilt reaches the robot. It never makes one
-    of its own.
-    """
+    In: velocity commands, tilts of the trunk, requests, poses, which processes live. Out: IMU, joints, sweeps, robot
+    state, and the simulator's clock and truth. It decides whether a velocity or a tilt reaches the robot. It never
+    makes one of its own."""
 
     inputs = (
         t.CMD_VEL,

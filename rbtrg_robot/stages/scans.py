@@ -1,4 +1,4 @@
-"""Which messages belong to one scan of the elevation stage: told by their stamps, so the order of arrival does not matter."""
+"""Groups messages into scans of the elevation stage by their stamps, so the order of arrival does not matter."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ class KeepsMap(Protocol):
     """A stage whose map grows with the ground that was seen."""
 
     def put_on(self, folder: Path) -> None:
-        """Let the map put tiles far from the robot on this disk. The host calls it once, before the first message; without it everything
-        stays in memory. What the stage publishes does not differ by it."""
+        """Let the map put tiles far from the robot on this disk. The host calls it once, before the first message;
+        otherwise everything stays in memory. The stage publishes the same either way."""
 
 
 @runtime_checkable

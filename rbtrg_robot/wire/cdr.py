@@ -1,11 +1,12 @@
 """CDR, little-endian: one generated function per type and direction.
 
-rosbags packs value by value; it is the oracle of the tests. Here neighbouring values of fixed size, those of nested messages too, pass
-through one `struct`. That takes a third of the time, and poses and IMU samples come 200 times a second.
+rosbags packs value by value; it is the oracle of the tests. Here neighbouring values of fixed size, those of nested
+messages too, pass through one `struct`. That takes a third of the time, and poses and IMU samples come 200 times a
+second.
 
-CDR aligns each value by its own size, counted from the end of the header. After a string or a list nothing is known of the position.
-So a run of fixed values ends there, and where a value needs a coarser alignment than the start of its run has.
-"""
+CDR aligns each value by its own size, counted from the end of the header. After a string or a list nothing is known
+of the position. So a run of fixed values ends there, and where a value needs a coarser alignment than the start of
+its run has."""
 
 from __future__ import annotations
 
@@ -137,7 +138,7 @@ class _Source:
             raise NotImplementedError(f"{path}: an array of messages or strings")
         return self._strings(path) if inner == Nodetype.BASE else self._messages(path, base)
 
-    # --- values of fixed size ------------------------------------------------------------------------------------------
+    # --- values of fixed size ---------------------------------------------------------------------------------------
     def _fixed(self, code: str, align: int, value: str, size: int = 0) -> str:
         """One more value in the present run, or in a new one where its place in this one is not known."""
         if align > self._known:
@@ -174,7 +175,7 @@ class _Source:
             self._known //= 2
         self._format, self._size, self._given, self._taken = "<", 0, [], []
 
-    # --- values of any size --------------------------------------------------------------------------------------------
+    # --- values of any size -----------------------------------------------------------------------------------------
     def _string(self, path: str) -> str:
         text = self._name()
         self.write.append(f"{text} = {path}.encode()")

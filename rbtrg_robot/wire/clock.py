@@ -1,9 +1,8 @@
 """The source clock of a stack on hardware.
 
-A wall clock is set: by NTP, by hand, by a computer that booted in 1970. No deadline may hang on it. The supervisor reads the
-wall clock once, at its start; from there on the source clock of every process is the monotonic clock, which they share, plus
-that one offset. Stamps look like wall time, and no stage ever sees a step.
-"""
+A wall clock is set: by NTP, by hand, by a computer that booted in 1970. No deadline may depend on it. The supervisor
+reads the wall clock once, at its start. From there on the source clock of every process is the shared monotonic clock
+plus that one offset. Stamps look like wall time, and no stage ever sees a step."""
 
 from __future__ import annotations
 

@@ -30,7 +30,8 @@ class MapFrame:
         self.yaw = 0.0
 
     def take(self, message: TFMessage) -> bool:
-        """From a tf2_msgs/TFMessage; an offset that is no number is none. Returns whether one that was known became another one."""
+        """Take the offset from a tf2_msgs/TFMessage; an offset that is not finite is ignored. Returns whether a known
+        offset changed."""
         before = (self.x, self.y, self.z, self.yaw) if self.known else None
         for transform in message.transforms:
             if transform.header.frame_id == MAP and transform.child_frame_id == ODOM:

@@ -1,9 +1,10 @@
-"""The front of the router's TLS doors: it carries bytes and reads none of them, but sees who is about to begin a TLS handshake.
+"""The front of the router's TLS ports: it forwards bytes without reading them, but sees who is about to begin a TLS
+handshake.
 
-Zenoh (1.10, eclipse-zenoh/zenoh#2685) lets nobody into a listener for 0.1 s after each handshake that failed on it: 10 visitors a second who break
-off keep everybody else out. So Zenoh listens on many ports of this computer, and this spreads visitors over them, each after it has said all that
-begins a handshake (ClientHello). Certificates are checked by Zenoh, end to end, as without it; nothing is decrypted here.
-"""
+Zenoh (1.10, eclipse-zenoh/zenoh#2685) lets nobody into a listener for 0.1 s after each failed handshake: 10 visitors
+a second who break off keep everybody else out. So Zenoh listens on many ports of this computer. This module spreads
+visitors over them, each after its ClientHello is complete. Zenoh checks certificates end to end; nothing is decrypted
+here."""
 
 from __future__ import annotations
 
@@ -21,15 +22,16 @@ DOORS = 96
 REST = 0.12
 """[s] after a failed handshake in which nobody else is sent to a port: about 800 of them a second close all."""
 STRANGERS, GUESTS = 100, 160
-"""Connections that have not come through a handshake, of which the oldest gives way to a newer one, and that have. Each takes three of the 1024
-open files of a process."""
+"""Largest number of connections before and after the handshake. Before it the oldest gives way to a newer one. Each
+takes three of the 1024 open files of a process."""
 HELD = 1 << 20
 """Bytes on their way to one who reads slowly before the other end is not read any more."""
 HANDSHAKE, CLIENT_HELLO = 22, 1
 LARGEST = 16_384 + 5
 """Bytes of a record of TLS (RFC 8446, 5.1)."""
 INSIDE = 3
-"""The visitor speaks so often in turn with Zenoh before it counts as inside: ClientHello, its certificate, and what only a session says."""
+"""Turns that a visitor must speak with Zenoh before it counts as inside: ClientHello, certificate, and what only a
+session says."""
 
 
 def greets(data: bytes) -> bool | None:
@@ -43,10 +45,9 @@ def greets(data: bytes) -> bool | None:
 
 
 def hold_port(port: int = 0) -> socket.socket:
-    """Keeps this port of this computer, or a free one, from being given to others; one who knows it may listen there (SO_REUSEADDR).
+    """Reserve this port of this computer, or a free one; a process that knows it may listen there (SO_REUSEADDR).
 
-    Raises OSError where somebody listens already.
-    """
+    Raises OSError if somebody listens already."""
     holder = socket.socket()
     holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

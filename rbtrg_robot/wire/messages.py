@@ -1,7 +1,7 @@
-"""ROS 2 messages on the wire: bytes, hashes, definitions. The messages themselves are the dataclasses of `rbtrg_robot.msg`.
+"""ROS 2 messages on the wire: bytes, hashes, definitions. The messages themselves are the dataclasses of
+`rbtrg_robot.msg`.
 
-Standard types come from the ROS 2 Jazzy set that rosbags carries; ours from the .msg files beside this module.
-"""
+Standard types come from the ROS 2 Jazzy set that rosbags carries; ours from the .msg files beside this module."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ def decode(data: bytes, kind: type[M]) -> M: ...
 @overload
 def decode(data: bytes, kind: str) -> Any: ...
 def decode(data: bytes, kind: Any) -> Any:
-    """The message of a class or, where only a log knows it, a type's name. Arrays are views on `data`. Raises MessageError."""
+    """The message of a class or, where only a log knows it, a type's name. Arrays are views on `data`. Raises
+    MessageError."""
     typename = kind if isinstance(kind, str) else kind.__msgtype__
     try:
         known = data[:2] == HEADER[:2] and typename in STORE.types
@@ -140,8 +141,8 @@ def stamp_in(data: bytes, typename: str) -> int:
 
 
 def stamp_of(message: Message) -> int:
-    """Source stamp [ns] of a message with a header or clock, else 0. One with more nanoseconds than a second has is broken: it counts as the end
-    of its second, which a message can carry again."""
+    """Source stamp [ns] of a message with a header or clock, else 0. A stamp with more nanoseconds than a second has
+    is broken: it counts as the end of its second, which a message can carry."""
     time = getattr(getattr(message, "header", None), "stamp", None) or getattr(message, "clock", None)
     if time is None and isinstance(message, msg.TFMessage) and message.transforms:
         time = message.transforms[0].header.stamp

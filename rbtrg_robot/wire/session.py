@@ -11,13 +11,16 @@ from typing import Any
 import zenoh
 
 MOST = 100_000
-"""Connections that a router takes, before and after they have shown who they are. Zenoh counts those of all doors together: with its own 100
-and 1000 anybody whose certificate the authority once signed, on the list or not, keeps the robot's own processes out."""
+"""Connections that a router takes, before and after identification. Zenoh counts all ports together. With its own
+limits of 100 and 1000, anybody whose certificate the authority once signed, on the list or not, keeps the robot's own
+processes out."""
 LEASE_MS = 10_000
-"""A session that said nothing for this long is ended [ms]. A death is seen at once and a hang by the heartbeats, both long before. With 2 s, a
-router that was held up for 5 s lost all sessions, and Zenoh mixes up topics while they come back."""
+"""A session that is silent this long is ended [ms]. A death is seen at once and a hang by the heartbeats, both long
+before. With 2 s, a router that was held up for 5 s lost all sessions, and Zenoh mixes up topics while they come back.
+"""
 RUNTIME, RUNTIME_OF_ROUTER = "ZENOH_RUNTIME", "(acc: (worker_threads: 8))"
-"""Zenoh closes a connection that said nothing after TLS in 25 ms of one thread, which nobody else gets in through meanwhile."""
+"""Zenoh closes a connection that is silent after TLS in 25 ms of one thread, and lets nobody else in through it
+meanwhile."""
 
 
 def stack_id() -> str:
@@ -39,7 +42,8 @@ class Security:
 
 
 def open_router(config: zenoh.Config) -> zenoh.Session:
-    """A session that serves others. Raises zenoh.ZError. Zenoh takes the number of its threads from the environment, once a process."""
+    """A session that serves others. Raises zenoh.ZError. Zenoh takes its number of threads from the environment, once
+    per process."""
     ours = RUNTIME not in os.environ
     if ours:
         os.environ[RUNTIME] = RUNTIME_OF_ROUTER

@@ -1,8 +1,7 @@
 """Pictures and films of the simulated robot, off-screen, and an interactive viewer.
 
-Software rendering costs 0.1 to 0.5 s per frame, far more than the simulation: so nothing is drawn while the robot runs. A
-`Film` collects poses (from `read`, or from a log of true poses and joints) and draws them when asked.
-"""
+Software rendering costs 0.1 to 0.5 s per frame, far more than the simulation: so nothing is drawn while the robot
+runs. A `Film` collects poses (from `read`, or from a log of true poses and joints) and draws them when asked."""
 
 from __future__ import annotations
 
@@ -55,7 +54,7 @@ class View:
 
 
 def egl_works() -> bool:
-    """Whether EGL opens a context. Tried in another process: PyOpenGL cannot change over to OSMesa once it has loaded EGL."""
+    """Whether EGL opens a context. Tried in another process: PyOpenGL cannot change to OSMesa once it has loaded EGL."""
     if ctypes.util.find_library("EGL") is None:
         return False
     probe = "from mujoco.egl import GLContext; GLContext(16, 16).make_current()"
@@ -68,7 +67,8 @@ def egl_works() -> bool:
 
 
 def gl_context(width: int, height: int) -> Any:
-    """An off-screen OpenGL context, current: EGL, or OSMesa where EGL does not work. MUJOCO_GL=egl|osmesa decides alone."""
+    """An off-screen OpenGL context, current: EGL, or OSMesa where EGL does not work. MUJOCO_GL=egl|osmesa decides
+    alone."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if wanted not in ("egl", "osmesa"):
         wanted = "egl" if egl_works() else "osmesa"
@@ -204,7 +204,8 @@ class Canvas:
         self._gl.free()
 
     def place(self, pose: NDArray[np.float32], obstacles: tuple[Obstacle, ...], time: float) -> None:
-        """The robot at `pose` (23,): position [m], quaternion w, x, y, z, joints in SDK order [rad]; the boxes where they are at `time` [s]."""
+        """The robot at `pose` (23,): position [m], quaternion w, x, y, z, joints in SDK order [rad]; the boxes where
+        they are at `time` [s]."""
         self.data.qpos[self._address] = pose[self._has]
         for index, obstacle in enumerate(obstacles):
             box = box_at(obstacle, time)

@@ -114,9 +114,8 @@ def wheel_jacobians(q: Array) -> Array:
 def leg_angles(centres: Array) -> Array:
     """Inverse of `wheel_centres`: joint angles that put the tread centres there, knees backward.
 
-    `centres`: (4, 3) [m] in base_link. Returns (16,) [rad], wheels 0. Out of reach or past a joint limit: the nearest angles
-    inside the limits.
-    """
+    `centres`: (4, 3) [m] in base_link. Returns (16,) [rad], wheels 0. Out of reach or past a joint limit: the nearest
+    angles inside the limits."""
     out = np.zeros(16)
     side = THIGH_Y + TREAD_Y
     for leg in range(4):

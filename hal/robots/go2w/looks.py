@@ -27,7 +27,8 @@ from hal.robots.go2w import facts as go2w
 
 
 def dress_trunk(base: mujoco.MjsBody) -> None:
-    """Shell with sloped shoulders, dark belly, rails, head with lamp and the L1 below it, XT16 on a mast; the sun above."""
+    """Shell with sloped shoulders, dark belly, rails, head with lamp and the L1 below it, XT16 on a mast; the sun
+    above."""
     sun(base)
     visual(base, SHELL, type=BOX, size=[0.185, 0.052, 0.040], pos=[0.0, 0.0, 0.016])
     visual(base, SHELL, type=CAPSULE, size=[0.046, 0.170, 0.0], pos=[0.0, 0.0, 0.022], quat=ALONG_X)

@@ -1,10 +1,10 @@
 """Getting from the side or the back onto the belly.
 
-On its side the robot draws the legs it lies on inwards, so that the trunk sinks towards its belly; then their thighs swing the
-feet around behind the trunk and press down on the far side, which lifts the trunk over. On its back the legs of one side reach
-over the back (the thighs turn that far), stretch fast and throw the trunk onto its other side, downhill and uphill in turn. After each try the attitude
-decides what comes next. The keyframes were found by random search in simulation (friction 0.6 and 0.9).
-"""
+On its side the robot draws the legs under it inwards, so the trunk sinks towards its belly. Then their thighs swing
+the feet around behind the trunk and press down on the far side, which lifts the trunk over. On its back the legs of
+one side reach over the back, stretch fast and throw the trunk onto its other side, downhill and uphill in turn. After
+each try the attitude decides what comes next. The keyframes were found by random search in simulation (friction 0.6
+and 0.9)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ class Righting:
         s = s * s * (3.0 - 2.0 * s)
         self._command.q[:12] = (1.0 - s) * self._from[:12] + s * target[:12]
         self._command.kp[:12] = stiffness
-        # Free wheels slide along the ground instead of holding the trunk back; once it is nearly upright they would roll downhill.
+        # Free wheels slide along the ground instead of holding the trunk back; once it is nearly upright they would
+        # roll downhill.
         self._command.kd[go2w.WHEELS] = FREE if up_of(state.quaternion)[2] < NEARLY_UPRIGHT else BRAKED
         return self._command
 

@@ -1,8 +1,7 @@
 """The Go2-W for MuJoCo, built from the facts with primitive shapes only.
 
-Unlike in the vendor's MJCF the wheel-motor housings collide: they leave only 36 mm below them and decide what the robot can
-straddle.
-"""
+Unlike in the vendor's MJCF the wheel-motor housings collide: they leave only 36 mm below them and decide what the
+robot can straddle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""URDF of the Go2-W, written from the facts in `hal.robots.go2w.facts`: links, joints, limits, inertia, and boxes and cylinders for shapes."""
+"""URDF of the Go2-W, written from the facts in `hal.robots.go2w.facts`: links, joints, limits, inertia, and boxes and
+cylinders for shapes."""
 
 from __future__ import annotations
 

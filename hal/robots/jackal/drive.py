@@ -1,8 +1,7 @@
 """Velocity straight to the wheels of a robot that cannot move them otherwise (`hal.lowlevel.Locomotion`).
 
-Skid steering slips, so how fast the wheels must turn against each other for a yaw rate depends on the ground: the gyro closes
-that loop. At rest the wheels hold their place.
-"""
+Skid steering slips, so how fast the wheels must turn against each other for a yaw rate depends on the ground: the
+gyro closes that loop. At rest the wheels hold their place."""
 
 from __future__ import annotations
 
@@ -25,7 +24,8 @@ REST = 0.05
 
 
 class Drive:
-    """Speed and yaw rate in, wheel speeds out. `vy`, `climb` and the posture are not followed: it has nothing to do so."""
+    """Speed and yaw rate in, wheel speeds out. `vy`, `climb` and the posture are not followed: the robot has no means
+    for them."""
 
     def __init__(self, limbs: Limbs, period: float = 0.005) -> None:
         """`period`: control period [s]."""

@@ -46,12 +46,13 @@ class Match:
     on_planes: int
     """Points in voxels of the map that have a plane."""
     inliers: float
-    """Share of those in voxels with a plane that lie on it (within the gate) [0..1]; 1 where the map has too few planes to tell."""
+    """Share of the points in voxels with a plane that lie on it (within the gate) [0..1]; 1 if the map has too few
+    planes to tell."""
     residual: float
     """RMS distance of the inliers from the map's surfaces [m]."""
     information: Array
-    """(6, 6) mean of J^T J over inliers: position in `odom` [-], rotation about base_link in `odom` axes [m^2]. Singular where the
-    scene does not constrain."""
+    """(6, 6) mean of J^T J over inliers: position in `odom` [-], rotation about base_link in `odom` axes [m^2].
+    Singular where the scene does not constrain."""
     born: float = 0.0
     """Variance [m^2] of the place in the plane when the surfaces that constrain it were first seen."""
 
@@ -70,8 +71,8 @@ class Engine(Protocol):
     """Of the local map."""
 
     def take(self, cloud: NDArray[np.float32], beside: Sequence[NDArray[np.float32]] = ()) -> None:
-        """The deskewed cloud (n, 3) in base_link to register next, together with what other LiDARs saw at the same time, each (m, 3). Only `cloud` enters
-        the local map."""
+        """The deskewed cloud (n, 3) in base_link to register next, with the clouds of other LiDARs at the same time,
+        each (m, 3). Only `cloud` enters the local map."""
 
     def align(self, guess: Array) -> Match:
         """Register the cloud near `guess` (4, 4)."""

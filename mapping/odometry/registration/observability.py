@@ -1,10 +1,12 @@
-"""Which directions a registration observes, of all six: those that noise alone pretends to see are left to gyro and wheels.
+"""Which of the six directions a registration observes. Those that only noise pretends to see are left to gyro and
+wheels.
 
-A direction is a small motion of the body: displacement and turn together, since a single post ties the two. Turns count with the root mean
-square lever of the points [m], so that a turn and a displacement that move the points as far weigh the same. What an error of the normals
-pretends is then the same share of the whole for each of the six: the information of a flat floor about the heading comes from nothing else.
-Zhang, Kaess, Singh, "On degeneracy of optimization-based state estimation problems", 2016.
-"""
+A direction is a small motion of the body: displacement and turn together, because a single post ties the two. Turns
+are weighed with the root mean square lever of the points [m], so a turn and a displacement that move the points as
+far weigh the same. Errors of the normals then pretend the same share in each direction: the information of a flat
+floor about the heading comes from nothing else.
+
+Zhang, Kaess, Singh, "On degeneracy of optimization-based state estimation problems", 2016."""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ NORMAL_NOISE = 0.002
 FREE = 2.0 * NORMAL_NOISE
 """Share below which nothing is observed: what is left is as uncertain as what was taken off."""
 UNKNOWN = 1e2
-"""Standard deviation of a registration along a direction that nothing constrains, in metres of the points: it says nothing there."""
+"""Standard deviation of a registration along an unconstrained direction, in metres of the points: it says nothing
+there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +34,14 @@ class Observed:
     facing: Array
     """(6,) ascending: share of surface that faces each direction, less what noise pretends; 0 where it is free."""
     directions: Array
-    """(6, 6) columns: the directions, displacement [m] and turn [rad], each of root mean square length 1 m at the points."""
+    """(6, 6) columns: the directions, displacement [m] and turn [rad], each of root mean square length 1 m at the
+    points."""
     lever: float
     """Root mean square lever of the points [m]."""
 
     def step(self, gradient: Array) -> Array:
-        """The least-squares step (6,) against `gradient` (6,) within what is observed; the other directions stay as they are."""
+        """The least-squares step (6,) against `gradient` (6,) within the observed directions; the others stay as they
+        are."""
         seen = self.facing > 0.0
         along = self.directions[:, seen]
         return -along @ ((along.T @ gradient) / (self.weight * (self.facing[seen] + NORMAL_NOISE)))
@@ -49,8 +54,9 @@ class Observed:
         return (self.directions * spread) @ self.directions.T
 
     def blurred(self, prior: Array) -> float:
-        """Variance [m^2] that noise of the normals adds to a point of a body that may be off by `prior` (6, 6), axes as those of the information: a surface
-        seen askew takes a displacement along it for one across. Where the robot was not watched, that is most of the error."""
+        """Variance [m^2] that noise of the normals adds to a point, if the body may be off by `prior` (6, 6), axes as
+        those of the information. A surface seen askew takes a displacement along it for one across. If the robot was
+        not watched, this is most of the error."""
         return NORMAL_NOISE * float(np.trace(prior[:3, :3]) + self.lever**2 * np.trace(prior[3:, 3:]))
 
 

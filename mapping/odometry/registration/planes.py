@@ -1,8 +1,7 @@
 """A voxel map of planes: how well a scan fits the local map, and in which directions it fits at all.
 
-Every voxel keeps the count, mean and covariance of the points seen in it, and the plane through them. KISS-ICP returns nothing but
-a pose; the plane residuals at that pose give overlap, residual and the information matrix that registration lacks.
-"""
+Every voxel keeps count, mean and covariance of its points, and the plane through them. KISS-ICP returns only a pose.
+The plane residuals at that pose give overlap, residual and the information matrix that registration lacks."""
 
 from __future__ import annotations
 
@@ -22,11 +21,14 @@ POINTS = 60
 PLANE = 5
 """Points that make a plane."""
 EARNED = 15.0
-"""Scans after which a surface counts in full, with the square of their share before. Who walks past at 0.5 m/s is in a voxel for 8 of them,"""
+"""Scans after which a surface counts in full; before that it counts with the square of their share. A person who
+walks past at 0.5 m/s is in a voxel for 8 scans."""
 LEVEL = 0.01
-"""Share of upright surface that is none but noise of level ground: level ground tells nothing of where it was seen first."""
+"""Share of upright surface that is only noise of level ground: level ground tells nothing of where it was seen first.
+"""
 LOSES = 0.5
-"""and each scan that does not see it takes so many back, until it counts in full: a wall is seen in every scan or every other, a place where people pass is not."""
+"""Scans that each scan without the surface takes back, until the surface counts in full. A wall is seen in every scan
+or every other; a place where people pass is not."""
 
 
 @borrows
@@ -44,10 +46,10 @@ def _slot(keys: NDArray[np.int64], kx: int, ky: int, kz: int) -> int:
 
 @borrows
 def _plane(stats: Array, plane: Array) -> None:
-    """Plane of one voxel from its sums: unit normal (3,) and its weight [0..1], 0 where there is no plane.
+    """Plane of one voxel from its sums: unit normal (3,) and its weight [0..1], 0 if there is no plane.
 
-    `stats` (12,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point), scans earned, newest scan.
-    """
+    `stats` (12,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point), scans earned, newest
+    scan."""
     n = stats[0]
     mx, my, mz = stats[1] / n, stats[2] / n, stats[3] / n
     a, b, c = stats[4] / n - mx * mx, stats[5] / n - mx * my, stats[6] / n - mx * mz
@@ -95,8 +97,8 @@ def _insert(
     earned: float,
     born: float,
 ) -> int:
-    """Add points (n, 3) in the body frame at `pose`, of scan number `scan` that counts as `earned` scans; returns how many voxels are new, which remember
-    `born`."""
+    """Add points (n, 3) in the body frame at `pose`, of scan number `scan` that counts as `earned` scans. Returns the
+    number of new voxels, which remember `born`."""
     new = 0
     for i in range(len(points)):
         x = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2] + pose[0, 3]
@@ -153,10 +155,9 @@ def _fit(
 ) -> tuple[int, int, int, float, float]:
     """Plane residuals of points (n, 3) at `pose`: sums of w J^T J into h (6, 6) and of w J^T r into b (6,).
 
-    J: position in the world, rotation about the body origin in world axes. Geman-McClure weight of width `scale` [m], times what the surface has earned.
-    Returns points in seen voxels, points on planes, inliers (|r| < gate), the sum of squared inlier residuals, and what the upright surfaces among them
-    remember of their birth, in the mean.
-    """
+    J: position in the world, rotation about the body origin in world axes. Geman-McClure weight of width `scale` [m],
+    times the weight that the surface has earned. Returns points in seen voxels, points on planes, inliers (|r| <
+    gate), the sum of squared inlier residuals, and the mean `born` of the upright surfaces among them."""
     h[:] = 0.0
     b[:] = 0.0
     seen = 0
@@ -275,15 +276,16 @@ class VoxelPlanes:
         """First point [m], and what was said of its birth."""
         self._stats = np.zeros((CAPACITY, 12))
         self._plane = np.zeros((CAPACITY, 8))
-        """Unit normal, weight, whether points came since, mean of the points beside the anchor: what a fit reads lies together."""
+        """Unit normal, weight, whether points came since, mean of the points relative to the anchor. What a fit reads
+        lies together."""
         self._used = 0
         self._scans = 0
 
     def insert(self, points: Array, pose: Array, born: float = 0.0, settled: bool = False) -> None:
-        """Add points (n, 3) [m] of a scan, body frame, at `pose` (4, 4), whose place in the plane has the variance `born` [m^2].
+        """Add points (n, 3) [m] of a scan, body frame, at `pose` (4, 4), whose planar position has the variance
+        `born` [m^2].
 
-        Its surfaces have yet to earn their weight, unless they are `settled`.
-        """
+        Its surfaces have yet to earn their weight, unless they are `settled`."""
         self._scans += 1
         radius = self.radius
         while self._used + len(points) > CAPACITY // 2 and radius > 1.0:
@@ -298,7 +300,8 @@ class VoxelPlanes:
         )  # fmt: skip
 
     def fade(self, share: float) -> None:
-        """Let what was inserted count for this share, at least for a plane: points that come now move settled surfaces again."""
+        """Let inserted points count for this share, at least enough for a plane, so that new points move settled
+        surfaces again."""
         n = self._stats[:, 0]
         kept = np.maximum(share * n, np.minimum(n, PLANE))
         self._stats[:, 1:10] *= (kept / np.maximum(n, 1.0))[:, None]
@@ -307,7 +310,8 @@ class VoxelPlanes:
     def fit(
         self, points: Array, pose: Array, gate: float, scale: float
     ) -> tuple[Array, Array, int, int, int, float, float]:
-        """Information h (6, 6), gradient b (6,), and counts seen, planar, inliers, sum of squared residuals, variance at birth; see `_fit`."""
+        """Information h (6, 6), gradient b (6,), and counts seen, planar, inliers, sum of squared residuals, variance
+        at birth; see `_fit`."""
         h, b = np.empty((6, 6)), np.empty(6)
         counts = _fit(
             self._keys, self._anchor, self._stats, self._plane, points, pose, self.size, gate, scale, h, b

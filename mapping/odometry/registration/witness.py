@@ -1,7 +1,8 @@
-"""KISS-ICP as its package runs it, beside the tracker: wide search after gaps, and a second opinion on the way that was made.
+"""KISS-ICP as its package runs it, beside the tracker: a wide search after gaps, and a second opinion on the way that
+was made.
 
-It has its own map, point to point correspondences and an adaptive threshold; nothing of the tracker enters its poses. Vizzo et al., "KISS-ICP", RA-L 2023.
-"""
+It has its own map, point to point correspondences and an adaptive threshold. Nothing of the tracker enters its poses.
+Vizzo et al., "KISS-ICP", RA-L 2023."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from hal.types import Array
 from mapping.odometry.registration.voxels import voxel_down_sample
 
 HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
-"""Tried in turn in a search [rad]: registration finds a heading that is 0.4 rad off, a robot out of contact turns further."""
+"""Headings tried in turn in a search [rad]: registration finds a heading up to 0.4 rad off, but a robot out of
+contact turns further."""
 OUTVOTED = 0.5
 """KISS-ICP is not believed where the tracker ends this many times nearer to where wheels and gyro lead."""
 LOOKS = 10
@@ -51,7 +53,8 @@ class KissConfig(BaseModel):
 
 
 def _apart(before: Array, after: Array, reckoned: Array) -> float:
-    """How far a way from `before` (4, 4) to `after` ends from where dead reckoning does, `reckoned` (4, 4) [m]; a turn counts as a metre a radian."""
+    """Distance [m] between the end of a way from `before` (4, 4) to `after` and that of dead reckoning, `reckoned`
+    (4, 4); a radian counts as a metre."""
     off = np.linalg.inv(reckoned) @ np.linalg.inv(before) @ after
     return float(np.linalg.norm(off[:3, 3]) + np.linalg.norm(rotation_vector(off[:3, :3])))
 
@@ -92,11 +95,11 @@ class Witness:
         self._motion = self._motion @ np.linalg.inv(before) @ predicted
 
     def look(self, frame: Array, tracked: Array, sure: bool = True) -> str:
-        """Register `frame` (n, 3) in base_link on its own and take it into its map; what speaks against the tracker's pose `tracked` (4, 4)
-        in plain words, empty where both agree.
+        """Register `frame` (n, 3) in base_link on its own and insert it into the own map. Returns in plain words what
+        speaks against the tracker's pose `tracked` (4, 4); empty if both agree.
 
-        Where the tracker is not `sure` there is nothing to compare: a scene that does not constrain it lets point to point slide.
-        """
+        If the tracker is not `sure` there is nothing to compare: in a scene that does not constrain it, point to
+        point slides."""
         thin, source = self._thinned(frame)
         if not (self._started and sure):
             self._pose = np.linalg.inv(self._offsets[-1]) @ tracked if self._started else tracked

@@ -41,8 +41,8 @@ OF_THE_STEP = frozenset(
         Reason.PROCESS_LOST,
     }
 )
-"""A goal that ended for one of these failed; `on_failure` says what follows. For any other reason (an emergency stop, a fault, another
-goal) no next step would do better: the mission pauses."""
+"""A goal that ended for one of these reasons failed; `on_failure` says what follows. For any other reason (an
+emergency stop, a fault, another goal) no next step would do better: the mission pauses."""
 
 
 class Outcome(StrEnum):

@@ -41,7 +41,7 @@ class Cursor:
 
 
 def nested(loops: Sequence[MissionLoop]) -> bool:
-    """Whether each two loops lie inside each other or apart. Of two with the same steps the later one is the inner one."""
+    """Whether all loops are nested or apart. Of two loops with the same steps the later one is the inner one."""
     return not any(
         a.first < b.first <= a.last < b.last or b.first < a.first <= b.last < a.last
         for k, a in enumerate(loops)

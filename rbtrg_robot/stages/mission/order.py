@@ -173,7 +173,7 @@ def _area_refusal(step: msg.MissionStep, kind: Kind) -> str:
 
 
 def update_refusal(old: msg.MissionOrder, new: msg.MissionOrder, at: int) -> str:
-    """Why `new` cannot take the place of `old` at step `at`; empty where it can: what was done and is being done stays."""
+    """Why `new` cannot replace `old` at step `at`; empty if it can: finished and present steps must stay."""
     if new.order_update_id <= old.order_update_id:
         return f"update {new.order_update_id} is not newer than {old.order_update_id}"
     if len(new.steps) < at or any(

@@ -1,11 +1,12 @@
 """Stopping at an edge, felt by the wheels while the robot creeps.
 
-A wheel that rolls over an edge stands on it with its flank: the ground pushes it forward as well as up. How far that force leans
-tells how far the wheel is over the edge, long before it hangs; once it hangs, on an edge met head-on, nothing holds the robot any
-more. So the leading wheels are drawn back under the trunk at once, which the legs can do much faster than the robot can brake, and
-the robot backs off. An edge of 2 cm and one of 2 m feel the same until then, so this happens only to a robot that feels its way:
-commanded no faster than `creep`. Driving away ends it, or a faster command: then the robot comes down blind.
-"""
+A wheel that rolls over an edge stands on it with its flank: the ground pushes it forward as well as up. The lean of
+that force tells how far the wheel is over the edge, long before it hangs. Once it hangs, on an edge met head-on,
+nothing holds the robot any more. So the leading wheels are drawn back under the trunk at once, which the legs do much
+faster than the robot brakes, and the robot backs off.
+
+An edge of 2 cm and one of 2 m feel the same until then. So this happens only while the commanded speed is no more
+than `creep`. Driving away or a faster command ends it; with the latter the robot drives down blind."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ TUCK_RATE = 2.0
 def feel_edges(
     m, tau: Array, dq: Array, centres: Array, rot: Array, command_vx: float, dt: float, p: VmcParams
 ) -> float:
-    """Watch for edges; returns the speed [m/s] to drive at instead of `command_vx`. Call it while no wheel is being lifted.
+    """Watch for edges; returns the speed [m/s] to drive at instead of `command_vx`. Call it while no wheel is being
+    lifted.
 
     `tau`, `dq` (16,) measured; `centres` (4, 3) wheel centres, H; `rot` (3, 3) H <- base_link. Sets `cliff`, +1 or -1.
     """

@@ -1,9 +1,8 @@
 """Lifting one blocked wheel onto what blocks it: detection and the sequence shift, lift, reach, lower.
 
-A wheel counts as blocked when it has been pushed back, against the other three wheels, for long enough. Then the robot stands
-still, moves its centre of mass over the other three wheels, lifts the wheel as far as the leg folds, reaches forward and puts it
-down on whatever is there.
-"""
+A wheel counts as blocked when it has been pushed back, against the other three wheels, for long enough. Then the
+robot stands still, moves its centre of mass over the other three wheels, lifts the wheel as far as the leg folds,
+reaches forward and puts it down on whatever is there."""
 
 from __future__ import annotations
 
@@ -19,7 +18,8 @@ from hal.types import Array
 DRIVE, SHIFT, LIFT, REACH, LOWER = range(5)
 """Values of the memory field `mode`."""
 PACE_FILTER = 0.3
-"""Time constant [s] of the speed by which a robot is stuck: the wheels' own estimate chatters while an edge holds them."""
+"""Time constant [s] of the speed that tells whether a robot is stuck: the wheels' own estimate chatters while an edge
+holds them."""
 
 BACK_TIME = 0.6
 """A climb that finds no footing drives back for this long [s], so that the wheels come under the trunk again..."""
@@ -33,7 +33,8 @@ TIPPING = 1.4
 
 @njit(cache=True)
 def back_off(m, wanted: float, dt: float) -> float:
-    """The speed [m/s] to drive at instead of `wanted`, after a climb that found no footing. Call it while no wheel is being lifted."""
+    """Speed [m/s] to drive at instead of `wanted` after a climb without footing. Call it while no wheel is being
+    lifted."""
     m.retreat = max(m.retreat - dt, 0.0) if wanted * m.way > 0.0 else 0.0
     return -m.way * BACK_SPEED if m.retreat > 0.0 else wanted
 
@@ -58,7 +59,8 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     if not stuck:
         # A turn pushes wheels back as well: the faster it turns, the more it takes.
         caution += 6.0 * max(0.0, turning - 0.1)
-        # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
+        # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or
+        # uphill.
         caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
     weight = m.force[0, 2] + m.force[1, 2] + m.force[2, 2] + m.force[3, 2]
@@ -68,10 +70,11 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
         behind = way * (HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
         pushed = back > 0.4 * p.blocked_force * caution and back + others > p.blocked_force * caution
         lags = behind > p.blocked_lag * caution and back > 5.0 * caution
-        # Wheels that turn the trunk strain against each other, also a while after: both of one side are pushed back. No edge does that to a
-        # robot that drives on.
+        # Wheels that turn the trunk strain against each other, also a while after: both of one side are pushed back.
+        # No edge does that to a robot that drives on.
         strained = not stuck and -way * m.force[(leg + 2) % 4, 0] > STRAIN * back > 0.0
-        # The hill itself pushes every wheel back, and one that slips cannot resist: only what is left counts for the slow signs.
+        # The hill itself pushes every wheel back, and one that slips cannot resist: only what is left counts for the
+        # slow signs.
         back -= way * m.grade[0] * m.force[leg, 2]
         others += way * m.grade[0] * (weight - m.force[leg, 2]) / 3.0
         if way != 0.0 and not strained and (pushed or lags):
@@ -95,10 +98,10 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
 
 @njit(cache=True)
 def begin(m, leg: int, way: float, centres: Array, com: Array, p: VmcParams) -> None:
-    """Start the sequence for `leg`: the centre of mass goes over the triangle of the other three wheels.
+    """Start the sequence for `leg`: the centre of mass moves over the triangle of the other three wheels.
 
-    The goal lies `triangle` of the way from the middle of the two neighbours, on whose line the triangle ends, to the third wheel.
-    """
+    The goal lies at the share `triangle` of the way from the middle of the two neighbours, on whose line the triangle
+    ends, to the third wheel."""
     if m.mode == DRIVE:
         # The legs that pushed are bent like springs: take them as they are, or they throw the trunk back.
         for i in range(4):

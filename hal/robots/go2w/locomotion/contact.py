@@ -1,4 +1,5 @@
-"""What the wheels feel: contact forces from the leg torques, and whether an edge holds a wheel that turning drags sideways."""
+"""What the wheels feel: contact forces from leg torques, and whether an edge holds a wheel that a turn drags
+sideways."""
 
 from __future__ import annotations
 
@@ -21,9 +22,8 @@ def clip(x: float, low: float, high: float) -> float:
 def estimate_contacts(m, tau: Array, weight_torque: Array, jac: Array, dt: float, p: VmcParams) -> None:
     """Contact forces from leg torques (quasi-static), low-passed, and contact flags with hysteresis.
 
-    What a wheel takes from the ground goes through its axle, wherever it is touched: the leg carries it by the Jacobian of the
-    wheel centre (`jac`, H), and the wheel motor's reaction by thigh and calf.
-    """
+    What a wheel takes from the ground goes through its axle, wherever it is touched: the leg carries it by the
+    Jacobian of the wheel centre (`jac`, H), and the wheel motor's reaction by thigh and calf."""
     alpha = dt / (dt + p.force_filter)
     for leg in range(4):
         wheel = tau[12 + leg]
@@ -46,10 +46,9 @@ def estimate_contacts(m, tau: Array, weight_torque: Array, jac: Array, dt: float
 def turn_share(m, dt: float, p: VmcParams) -> float:
     """Share of a turn on the spot that may go on, 0..1: turning against a wheel that an edge holds tips the robot.
 
-    A sliding wheel is held by no more than its load times friction (1.0, the best there is), so what holds it beyond that is an
-    edge. And however weakly it is held, a wheel dragged far from its place leaves the trunk without support on its side. The mean
-    lag of all wheels does not count: gravity on a slope drags them alike.
-    """
+    A sliding wheel is held by no more than its load times friction (1.0, the best there is). A larger force comes
+    from an edge. A wheel dragged far from its place also leaves the trunk without support on its side, however weakly
+    it is held. The mean lag of all wheels does not count: gravity on a slope drags them alike."""
     norm = 1.0 / math.sqrt(1.0 + m.slope_x * m.slope_x + m.slope_y * m.slope_y)
     mean_x = 0.25 * (m.lag[0, 0] + m.lag[1, 0] + m.lag[2, 0] + m.lag[3, 0])
     mean_y = 0.25 * (m.lag[0, 1] + m.lag[1, 1] + m.lag[2, 1] + m.lag[3, 1])

@@ -17,9 +17,8 @@ OURS = Path(__file__).with_name("go2w.npz")
 def policy_of(name: str, source: str | Path = "") -> Path:
     """Folder or file of a controller's learnt policy.
 
-    source: a path, or the name of a policy that was fetched. Empty: ours for the hybrid controller; for the policy alone the public one,
-    since ours was trained to climb for the hybrid controller. Raises PolicyError.
-    """
+    source: a path, or the name of a policy that was fetched. Empty: ours for the hybrid controller; for the policy
+    alone the public one, since ours was trained to climb for the hybrid controller. Raises PolicyError."""
     if not str(source):
         return OURS if name == "hybrid" else stored(DEFAULT)
     if str(source) in POLICIES and not Path(source).exists():
@@ -28,11 +27,10 @@ def policy_of(name: str, source: str | Path = "") -> Path:
 
 
 def controller_of(name: str, policy: str | Path = "", period: float = 0.005) -> Locomotion:
-    """A controller, its kernels compiled.
+    """A controller with compiled kernels.
 
-    policy: of the learnt policy, see `policy_of`; the model-based controller has none.
-    period: of the model-based controller alone [s]; a policy brings its own. Raises PolicyError, and ValueError for a bad period.
-    """
+    policy: of the learnt policy, see `policy_of`; the model-based controller has none. period: of the model-based
+    controller alone [s]; a policy brings its own. Raises PolicyError, and ValueError for a bad period."""
     if name == "policy":
         return PolicyController(policy_of(name, policy))
     warm_up()  # before the clock runs: compiling takes seconds

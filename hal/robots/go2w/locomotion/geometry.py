@@ -1,7 +1,7 @@
 """Compiled geometry and statics of the four wheeled legs: level frame, contact points, leg weight, force distribution.
 
-Frame H: origin base_link, z against gravity, x the trunk's heading projected on the horizontal plane. Legs FR, FL, RR, RL.
-"""
+Frame H: origin base_link, z against gravity, x the trunk's heading projected on the horizontal plane. Legs FR, FL,
+RR, RL."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ def rotate(rot: Array, v: Array) -> Array:
 
 @njit(cache=True)
 def leg_weight(q: Array, rot: Array) -> tuple[Array, Array]:
-    """Joint torques (4, 3) [Nm] that carry the legs' own weight with the trunk held, and the robot's centre of mass (3,) [m], H."""
+    """Joint torques (4, 3) [Nm] that carry the legs' own weight with the trunk held, and the robot's centre of mass
+    (3,) [m], H."""
     torque = np.zeros((4, 3))
     com = np.empty(3)
     com[0] = _BASE_M * _BASE_X
@@ -126,11 +127,11 @@ def leg_weight(q: Array, rot: Array) -> tuple[Array, Array]:
 def contact_geometry(
     q: Array, rot: Array, centres: Array, jac: Array, slope_x: float, slope_y: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Where the wheels touch a plane of the given slopes and how the leg joints move those points with the wheels locked.
+    """Where the wheels touch a plane of the given slopes and how the leg joints move those points with the wheels
+    locked.
 
-    `centres` (4, 3), `jac` (4, 3, 3) in H. Returns the contact points (4, 3) [m], their Jacobians (4, 3, 3) over hip, thigh,
-    calf, the rolling direction (4, 3) and the axle (4, 3), all in H.
-    """
+    `centres` (4, 3), `jac` (4, 3, 3) in H. Returns the contact points (4, 3) [m], their Jacobians (4, 3, 3) over hip,
+    thigh, calf, the rolling direction (4, 3) and the axle (4, 3), all in H."""
     n = np.empty(3)
     norm = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     n[0] = -slope_x * norm
@@ -180,7 +181,8 @@ def contact_geometry(
 
 @njit(cache=True)
 def fit_plane(points: Array, weight: Array) -> tuple[float, float, float]:
-    """Weighted plane z = h + sx x + sy y through four points (4, 3): h, sx, sy. A little damping keeps lines and points finite."""
+    """Weighted plane z = h + sx x + sy y through four points (4, 3): h, sx, sy. A little damping keeps lines and
+    points finite."""
     sw = 0.0
     mx = 0.0
     my = 0.0
@@ -219,9 +221,9 @@ def distribute(
 ) -> None:
     """Vertical wheel forces that best give a lift and two tilting moments, inside their bounds.
 
-    Minimises (sum f - Fz)^2 + ((sum y f - Mx)^2 + (sum -x f - My)^2) / a^2 + eps |f - mean|^2 by coordinate descent, in place and
-    warm-started from `force` (4,) [N]. `wrench`: Fz [N], Mx, My [Nm] about `com`; a = 0.19 m makes moments forces.
-    """
+    Minimises (sum f - Fz)^2 + ((sum y f - Mx)^2 + (sum -x f - My)^2) / a^2 + eps |f - mean|^2 by coordinate descent,
+    in place and warm-started from `force` (4,) [N]. `wrench`: Fz [N], Mx, My [Nm] about `com`; a = 0.19 m makes
+    moments forces."""
     inv = 1.0 / 0.19
     eps = 0.02
     b1 = wrench[1] * inv

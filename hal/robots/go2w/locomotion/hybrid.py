@@ -1,9 +1,10 @@
-"""The model-based controller drives; the learnt one takes over where the ground holds a wheel or twists the robot, and hands back on level ground.
+"""The model-based controller drives. The learnt policy takes over where the ground holds a wheel or twists the robot,
+and hands back on level ground.
 
-The model-based controller stands, creeps, stops, turns on the spot and drives on ground that needs no climbing: it does that to the
-centimetre. It climbs by lifting one wheel at a time, up to 0.10 m; with one wheel 0.2 m below the others it tips over. A learnt policy
-climbs higher while driving, but it sways at rest and turns badly. The torques of both are mixed over `BLEND` at each change.
-"""
+The model-based controller stands, creeps, stops, turns on the spot and drives, to the centimetre, on ground without
+climbs. It climbs by lifting one wheel at a time, up to 0.10 m; with one wheel 0.2 m below the others it tips over. A
+learnt policy climbs higher while driving, but it sways at rest and turns badly. The torques of both are mixed over
+`BLEND` at each change."""
 
 from __future__ import annotations
 
@@ -25,32 +26,37 @@ BLEND = 0.16
 FAST = 0.3
 """Slowest commanded speed [m/s], ahead or back, at which the learnt policy takes over."""
 ONWARD = 0.15
-"""The same at which it goes on: paths slow down amid what is climbed, and changing hands there is worse than a slow climb."""
+"""The same for going on: paths slow down amid a climb, and a change of controllers there is worse than a slow climb."""
 BLOCKED = 0.5
-"""Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
+"""Share of the model-based controller's waiting time before it lifts a blocked wheel, after which the learnt one
+takes over."""
 STALLED, STALL_TIME = 0.1, 0.6
-"""A wheel that rolls slower than this share of a fast command for so long [s] calls the learnt controller, too: the ground pushed a wheel before a post too
-little to count as blocked, and the other three spun for 4 s."""
+"""A wheel slower than this share of a fast command for so long [s] calls the learnt controller too. A wheel before a
+post was pushed too little to count as blocked, and the other three spun for 4 s."""
 TWIST, TWIST_TIME = 0.14, 0.1
-"""One wheel so far [m] off the plane of the others for so long [s] calls the learnt controller; a wheel that was lifted is put down in less."""
+"""One wheel so far [m] off the plane of the others for so long [s] calls the learnt controller. A lifted wheel is put
+down sooner."""
 ASTRIDE = 0.12
-"""While the legs' lengths differ by more [m] the learnt controller turns and creeps, too: the model-based one tips over there."""
+"""While leg lengths differ by more than this [m] the learnt controller also turns and creeps: the model-based one
+tips over there."""
 CALM_TIME = 1.0
 """[s] of level ground after which the climb is over."""
 CALM_SPREAD = 0.03
 """Largest difference of the wheels' heights [m] that counts as level ground."""
 PUSH_GAIN, PUSH_MOST = 0.4, 0.9
-"""Speed that is asked of the policy beyond the commanded one, per distance that it falls behind [1/s], and the sum of both at most [m/s]."""
+"""Extra speed asked of the policy per distance that it falls behind [1/s], and largest total speed asked [m/s]."""
 PUSH_FADE = 0.2
 """What is left of it at the next take-over is less by so much per time without the policy [m/s^2]."""
 TURN_MOST = 0.8
-"""Yaw rate [rad/s] that is asked of the policy amid a climb at most, as in the lanes it learnt in: at 1.0 rad/s a policy tipped over on a plate of 10 cm."""
+"""Largest yaw rate [rad/s] asked of the policy amid a climb, as in its training: at 1.0 rad/s a policy tipped over on
+a plate of 10 cm."""
 HELD_SHARE, HELD_TIME = 0.5, 0.2
 """A wheel is held when it rolls slower than this share of the commanded speed; after so long [s] ..."""
 SHAKE = 0.4
 """... the policy's outputs are shaken by this standard deviation, somewhat more than it was trained with."""
 SLOW = 0.05
-"""Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow drive, or a tilt of the trunk..."""
+"""Wheel speed [m/s] below which the model-based controller takes over for a turn on the spot, a slow drive, or a tilt
+of the trunk..."""
 OTHER_TIME = 0.6
 """... and time [s] after which it does so at any speed."""
 
@@ -118,11 +124,10 @@ class HybridController:
         return "climbing with the learnt policy" if self.climbing else self.wheels.warning()
 
     def _helped(self, state: LowState, velocity: VelocityCommand) -> VelocityCommand:
-        """The command for the learnt policy, which is helped out of where it does not get on by itself.
+        """The command for the learnt policy, with help where it makes no progress.
 
-        It is asked for more speed than was commanded as long as the wheels turn slower than that. Where one wheel is held for long, its outputs
-        are shaken: a network without memory of what it tried repeats the same motion for ever.
-        """
+        It is asked for more speed than commanded while the wheels turn slower than that. If one wheel is held for
+        long, its outputs are shaken: a network without memory repeats the same motion for ever."""
         way, speed = float(np.sign(velocity.vx)), abs(velocity.vx)
         drives = speed >= ONWARD
         rolling = way * go2w.WHEEL_RADIUS * state.dq[go2w.WHEELS]
@@ -149,7 +154,8 @@ class HybridController:
         level = np.ptp(heights) < CALM_SPREAD
         astride = np.ptp(centres[:, 2]) > ASTRIDE
         self._calm = self._calm + self.period if level else 0.0
-        # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
+        # A robot that stops amid a climb is braked and held by the policy: the model-based controller would move to
+        # its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
         tilted = posture.roll != 0.0 or posture.pitch != 0.0
         other = not astride and (tilted if stop else abs(velocity.vx) < ONWARD)
@@ -159,7 +165,8 @@ class HybridController:
 
 
 def mixed(one: LowCommand, other: LowCommand, share: float, out: LowCommand) -> LowCommand:
-    """`out`, whose motor torques are those of `one` and `other`, `share` of the latter, whatever the motors' state is."""
+    """Write into `out` a command whose torques are those of `one` and `other`, `share` of the latter, for any motor
+    state."""
     a, b = 1.0 - share, share
     for gain, target in (("kp", "q"), ("kd", "dq")):
         first, second = a * getattr(one, gain), b * getattr(other, gain)

@@ -1,9 +1,9 @@
 """What a policy sees and what its outputs mean, in rl_sar's layout: the same for driving and for training.
 
-A frame is 57 numbers in SDK motor order: gyro, gravity direction in base_link, commanded vx, vy, wz, joint angles relative to the
-default pose (wheels zero), joint velocities, previous raw output; each scaled, all clipped. The observation is one frame, or
-frames of several ticks (`observations_history`). The 16 outputs are leg angle offsets and wheel speeds, each times its scale.
-"""
+A frame is 57 numbers in SDK motor order: gyro, gravity direction in base_link, commanded vx, vy, wz, joint angles
+relative to the default pose (wheels zero), joint velocities, previous raw output; each scaled, all clipped. The
+observation is one frame, or frames of several ticks (`observations_history`). The 16 outputs are leg angle offsets
+and wheel speeds, each times its scale."""
 
 from __future__ import annotations
 
@@ -99,9 +99,8 @@ class Layout:
     ) -> None:  # fmt: skip
         """Write `out` (..., 57).
 
-        gyro (..., 3) [rad/s] and world z `up` (..., 3) in base_link; `command` (..., 3): vx, vy [m/s], wz [rad/s]; q, dq (..., 16)
-        [rad, rad/s]; `action` (..., 16): the output of the step before.
-        """
+        gyro (..., 3) [rad/s] and world z `up` (..., 3) in base_link; `command` (..., 3): vx, vy [m/s], wz [rad/s]; q,
+        dq (..., 16) [rad, rad/s]; `action` (..., 16): the output of the step before."""
         p = self.params
         out[..., 0:3] = gyro * p.ang_vel_scale
         out[..., 3:6] = -up
@@ -113,7 +112,8 @@ class Layout:
         np.clip(out, -p.clip_obs, p.clip_obs, out=out)
 
     def targets(self, action: NDArray[np.float32]) -> tuple[Array, Array]:
-        """Joint angles [rad] and velocities [rad/s], both (..., 16), that the motors hold for a clipped output (..., 16)."""
+        """Joint angles [rad] and velocities [rad/s], both (..., 16), that the motors hold for a clipped output (...,
+        16)."""
         target = action * self.scale
         q, dq = np.zeros(target.shape), np.zeros(target.shape)
         q[..., :12] = self.default[:12] + target[..., :12]

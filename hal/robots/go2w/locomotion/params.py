@@ -40,7 +40,8 @@ class VmcParams(NamedTuple):
     leg_kd: float = 6.0
     """Damping of hip and thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
     halt_kd: float = 20.0
-    """The same of the hip of a robot that is told to stand: one that brakes in a curve sways out of it. In turns it would cost a tenth of the rate."""
+    """The same for the hips of a robot that is told to stand: a robot that brakes in a curve sways. In turns it would
+    cost a tenth of the rate."""
     calf_kd: float = 2.0
     calf_share: float = 1.0
     """Share of the calf in holding a wheel's place; 1 makes that force horizontal."""
@@ -68,15 +69,16 @@ class VmcParams(NamedTuple):
     yaw_ki: float = 10.0
     """Yaw-rate loop on the gyro, acting on the wheel speed difference [-], [1/s]."""
     turn_pull: float = 0.03
-    """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily, and tips over edges easily."""
+    """Inward shift of each axle for a full turn [m]: a short wheelbase skids round easily, and tips over edges
+    easily."""
     hill_pull: float = 0.09
     """The same on hillsides, where turning asks for more [m]."""
     turn_full: float = 0.35
     """Yaw rate [rad/s] from which the axles are pulled in fully."""
     turn_jam: float = 20.0
-    """Force [N] beyond what friction explains, by which an edge holds a wheel, at which turning on the spot has stopped."""
+    """Force [N] of an edge on a wheel, beyond what friction explains, at which turning on the spot has stopped."""
     turn_strain: float = 0.08
-    """How far [m] a wheel may be dragged from its place under the trunk by turning on the spot; slower from 0.6 of it."""
+    """Largest drag [m] of a wheel from its place under the trunk by turning on the spot; slower from 0.6 of it on."""
     astray: float = 0.03
     """How far [m] a wheel may be from its place under the trunk before it rolls back to it..."""
     astray_rate: float = 5.0

@@ -1,11 +1,12 @@
-"""A learnt locomotion policy, run with numpy alone: rl_sar's folders (fan-ziqi/rl_sar, policy/go2w) and files of our own.
+"""A learnt locomotion policy, run with numpy alone: rl_sar's folders (fan-ziqi/rl_sar, policy/go2w) and files of our
+own.
 
-A policy folder holds `policy.pt` (TorchScript), `config.yaml` (observation, scales, gains) and optionally `base.yaml` (control
-period), here or one folder up. A file of ours (`hal.robots.go2w.locomotion.weights`) holds the same in one. `hal.robots.go2w.locomotion.layout` has the observation.
+A policy folder holds `policy.pt` (TorchScript), `config.yaml` (observation, scales, gains) and optionally `base.yaml`
+(control period), here or one folder up. A file of ours (`hal.robots.go2w.locomotion.weights`) holds the same in one.
+`hal.robots.go2w.locomotion.layout` has the observation.
 
-Policies were trained to step at zero command and creep by 2-3 cm/s, so at zero command the robot brakes, settles and then
-holds its joints where they are.
-"""
+Policies were trained to step at zero command and creep by 2-3 cm/s, so at zero command the robot brakes, settles and
+then holds its joints where they are."""
 
 from __future__ import annotations
 
@@ -70,7 +71,8 @@ def load_params(folder: Path) -> PolicyParams:
 
 
 class PolicyController:
-    """`hal.lowlevel.Locomotion` from a policy folder or a file of ours. Follows vx, vy and wz; ignores posture. Raises PolicyError."""
+    """`hal.lowlevel.Locomotion` from a policy folder or a file of ours. Follows vx, vy and wz; ignores posture.
+    Raises PolicyError."""
 
     def __init__(self, source: Path) -> None:
         if source.suffix == ".npz":

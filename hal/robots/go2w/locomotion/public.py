@@ -1,4 +1,5 @@
-"""Learnt policies that others published: fetched once from their repository at a fixed commit, checked, kept in the user's data folder."""
+"""Published learnt policies: fetched once from their repository at a fixed commit, checked, kept in the user's data
+folder."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Read the layers of a TorchScript multi-layer perceptron without torch.
 
-A .pt file is a zip archive: `data.pkl` pickles the module tree, `data/N` holds the raw numbers of storage N. The unpickler
-below knows the few names such a tree needs and refuses every other one, so a file cannot run code.
-"""
+A .pt file is a zip archive: `data.pkl` pickles the module tree, `data/N` holds the raw numbers of storage N. The
+unpickler below knows the few names such a tree needs and refuses every other one, so a file cannot run code."""
 
 from __future__ import annotations
 

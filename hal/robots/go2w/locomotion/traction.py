@@ -1,9 +1,10 @@
-"""Friction limits: how much each wheel may push along the ground, and who takes over what a wheel cannot push.
+"""Friction limits: how much each wheel may push along the ground, and which wheel takes over the rest.
 
-The vertical distribution decides what every wheel carries; here the wheels' feed-forward torques (hill, acceleration, speed integral) are held inside the
-friction cone of the load each wheel feels; the speed loop in the motors stays free. What one wheel has to give up goes to the other wheel of its side, which keeps the turning moment.
-The friction of every wheel is learnt from its slip: a wheel that runs away from the others uses all the friction there is.
-"""
+The vertical distribution decides the load of every wheel. Here the feed-forward torques of the wheels (hill,
+acceleration, speed integral) are held inside the friction cone of the load that each wheel feels. The speed loop in
+the motors stays free. What one wheel gives up goes to the other wheel of its side, which keeps the turning moment.
+The friction of every wheel is learnt from its slip: a wheel that runs ahead of the others uses all the friction there
+is."""
 
 from __future__ import annotations
 
@@ -33,17 +34,19 @@ HALF_TRACK = HIP_Y + THIGH_Y + TREAD_Y
 
 @njit(cache=True)
 def learn_friction(m, tau: Array, axles: Array, rolled: Array, weight: Array, dt: float) -> float:
-    """Set `slips`, `friction` and `grip`, (4,) each; returns the speed of the trunk [m/s] by the wheels that do not slip.
+    """Set `slips`, `friction` and `grip`, (4,) each; returns the speed of the trunk [m/s] by the wheels that do not
+    slip.
 
-    `tau` (16,) measured; `axles` (4, 3), H; `rolled` (4,): speed of the trunk [m/s] if that wheel alone were right; `weight` (4,): its
-    share in the mean. The slowest wheel in the direction of the drive is taken for one that does not slip.
-    """
+    `tau` (16,) measured; `axles` (4, 3), H; `rolled` (4,): speed of the trunk [m/s] if that wheel alone were right;
+    `weight` (4,): its share in the mean. The slowest wheel in the direction of the drive is taken for one that does
+    not slip."""
     way = 1.0 if tau[12] + tau[13] + tau[14] + tau[15] >= 0.0 else -1.0
     slowest = 1e9
     for leg in range(4):
         if m.contact[leg] == 1:
             slowest = min(slowest, way * rolled[leg])
-    # To turn, the wheels of one side are meant to run ahead; how far is up to the yaw loop, but only while a turn is asked for.
+    # To turn, the wheels of one side are meant to run ahead; how far is up to the yaw loop, but only while a turn is
+    # asked for.
     margin = SLIP + SLIP_SHARE * abs(m.vx) + HALF_TRACK * min(abs(m.skid), SKID * abs(m.wz))
     speed = 0.0
     total = 0.0
@@ -69,10 +72,10 @@ def learn_friction(m, tau: Array, axles: Array, rolled: Array, weight: Array, dt
 
 @njit(cache=True)
 def limit_traction(torque: Array, grip: Array) -> None:
-    """Bring wheel torques (4,) [Nm] inside +-`grip` (4,), in place; the rest goes to the other wheel of the side as far as it has room.
+    """Limit wheel torques (4,) [Nm] to +-`grip` (4,), in place; the rest goes to the other wheel of the side as far
+    as it has room.
 
-    Legs in the order FR, FL, RR, RL.
-    """
+    Legs in the order FR, FL, RR, RL."""
     for side in range(2):
         front = side
         rear = side + 2

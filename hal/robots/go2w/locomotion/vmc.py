@@ -1,10 +1,9 @@
 """Virtual model control: a model-based locomotion controller for the wheeled legs that needs no learnt weights.
 
-The trunk is held by virtual springs to a level attitude above the ground plane under the wheels; the wanted lift and tilting
-moments are distributed on the four wheels, the legs carry the forces by their Jacobians, the wheels roll at the commanded speed.
-Stiffness and damping that must be fast sit in the motors (kp, kd); what is computed here changes slowly, so that a late command
-does little harm.
-"""
+The trunk is held by virtual springs to a level attitude above the ground plane under the wheels; the wanted lift and
+tilting moments are distributed on the four wheels, the legs carry the forces by their Jacobians, the wheels roll at
+the commanded speed. Stiffness and damping that must be fast sit in the motors (kp, kd); what is computed here changes
+slowly, so that a late command does little harm."""
 
 from __future__ import annotations
 
@@ -52,8 +51,8 @@ class VmcController:
         self._memory["vx"] = self._memory["speed"] = vx
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
-        """One control tick. `velocity.vy` is not followed: the wheels cannot roll sideways. Without `velocity.climb` no wheel is lifted onto what
-        blocks it; a climb under way goes on."""
+        """One control tick. `velocity.vy` is not followed: the wheels cannot roll sideways. Without `velocity.climb`
+        no wheel is lifted onto an obstacle; a climb under way goes on."""
         self._climb[0] = self.params.climb if velocity.climb else 0.0
         command = self._command
         command[0] = velocity.vx
@@ -81,7 +80,8 @@ class VmcController:
         return bool(c[0]), bool(c[1]), bool(c[2]), bool(c[3])
 
     def blocked(self) -> float:
-        """For how long the ground has held a wheel, as a share of the time after which the wheel is lifted; 1 while it is."""
+        """Time that the ground has held a wheel, as a share of the time after which the wheel is lifted; 1 while it
+        is."""
         if self._mode[0] != DRIVE:
             return 1.0
         return max(self._blocked.tolist()) / self.params.blocked_time

@@ -1,4 +1,5 @@
-"""One control tick of the virtual model controller, compiled. Frame H and leg order as in `hal.robots.go2w.locomotion.geometry`."""
+"""One control tick of the virtual model controller, compiled. Frame H and leg order as in
+`hal.robots.go2w.locomotion.geometry`."""
 
 from __future__ import annotations
 
@@ -67,8 +68,8 @@ def vmc_tick(
 ) -> None:
     """Compute one command.
 
-    `q`, `dq`, `tau`: (16,) measured; `command`: (5,) vx, wz, height, roll, pitch; `params`: (1,) of `RECORD`; `memory`: (1,) of `MEMORY`; `out`: (5, 16).
-    """
+    `q`, `dq`, `tau`: (16,) measured; `command`: (5,) vx, wz, height, roll, pitch; `params`: (1,) of `RECORD`;
+    `memory`: (1,) of `MEMORY`; `out`: (5, 16)."""
     m, p = memory[0], params[0]
     rot = level_frame(quaternion)
     omega = rotate(rot, gyro.reshape(1, 3))[0]
@@ -205,7 +206,7 @@ def vmc_tick(
     if stopped:
         m.yaw_i = 0.0
     else:
-        # A robot that is held turns nowhere: the integral must not take the drive from the wheels of one side meanwhile.
+        # A held robot does not turn: the integral must not take the drive from the wheels of one side meanwhile.
         held = m.slips[0] + m.slips[1] + m.slips[2] + m.slips[3] > 0 and abs(m.speed) < 0.5 * abs(m.vx)
         if not held or yaw_error * m.yaw_i < 0.0:
             m.yaw_i += p.yaw_ki * yaw_error * dt
@@ -295,13 +296,14 @@ def vmc_tick(
             if joint == 0 and halt:
                 out[OUT_KD, i] = p.halt_kd
         if leg != lifted:
-            # The thigh's spring alone would push along the calf, mostly upwards; the calf's share makes its force horizontal.
+            # The thigh's spring alone would push along the calf, mostly upwards; the calf's share makes its force
+            # horizontal.
             thigh = 3 * leg + 1
             ratio = clip(jac[leg, 0, 2] / min(jac[leg, 0, 1], -0.1), -1.0, 1.0)
             out[OUT_TAU, thigh + 1] += (
                 p.calf_share * clip(p.leg_kp * (out[OUT_Q, thigh] - q[thigh]), -20.0, 20.0) * ratio
             )
-        # A wheel that is far from its place rolls back to it: one that is held must not let the others drive on under the trunk.
+        # A wheel far from its place rolls back to it: a held wheel must not let the others drive on under the trunk.
         astray = error_x - clip(error_x, -p.astray, p.astray) if stands else 0.0
         ground_speed = m.vx - turn * points[leg, 1] + rate_x + p.astray_rate * astray
         want = ground_speed / WHEEL_RADIUS - spin[leg]
@@ -322,7 +324,8 @@ def vmc_tick(
             out[OUT_KP, wheel] = 0.0
             drive_torque = m.speed_i * clip(limit / p.wheel_torque, 0.0, 1.0)
             if not climbing:
-                # For the sprung mass alone: shanks, wheels and rotors follow the speed loop. With them a stop overshoots.
+                # For the sprung mass alone: shanks, wheels and rotors follow the speed loop. With them a stop
+                # overshoots.
                 drive_torque += WHEEL_RADIUS * SPRUNG * push[0] * m.load[leg] / total_load
             out[OUT_TAU, wheel] = hold_torque + friction + drive_torque
         torque[leg] = out[OUT_TAU, wheel] - friction

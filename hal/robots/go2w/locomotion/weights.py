@@ -1,7 +1,7 @@
-"""A policy of ours: one npz file with a JSON header (`PolicyParams`, how it was trained, what it can do) and its layers.
+"""A policy of ours: one npz file with a JSON header (`PolicyParams`, how it was trained, what it can do) and its
+layers.
 
-The numbers are float16: 100,000 of them take 200 kB.
-"""
+The numbers are float16: 100,000 of them take 200 kB."""
 
 from __future__ import annotations
 

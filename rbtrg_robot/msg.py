@@ -218,6 +218,28 @@ class GridMap(Message):
 
 
 @dataclass(slots=True, eq=False)
+class MapMetaData(Message):
+    """nav_msgs/msg/MapMetaData."""
+
+    __msgtype__ = "nav_msgs/msg/MapMetaData"
+    map_load_time: Time = field(default_factory=Time)
+    resolution: float = 0.0
+    width: int = 0
+    height: int = 0
+    origin: Pose = field(default_factory=Pose)
+
+
+@dataclass(slots=True, eq=False)
+class OccupancyGrid(Message):
+    """nav_msgs/msg/OccupancyGrid."""
+
+    __msgtype__ = "nav_msgs/msg/OccupancyGrid"
+    header: Header = field(default_factory=Header)
+    info: MapMetaData = field(default_factory=MapMetaData)
+    data: NDArray[np.int8] = field(default_factory=lambda: _zeros("int8", 0))
+
+
+@dataclass(slots=True, eq=False)
 class TwistWithCovariance(Message):
     """geometry_msgs/msg/TwistWithCovariance."""
 

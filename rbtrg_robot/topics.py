@@ -122,6 +122,7 @@ TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LA
 DESCRIPTION    = Topic("/robot_description",     msg.String,           0, Qos.LATCHED,   1, "odometry",  "the robot's URDF", shared=True)
 MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map", recorded="full lean")
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan", recorded="full")
+MAP_COST       = Topic("/elevation_map/cost",    msg.OccupancyGrid,    0, Qos.STATE,     1, "elevation", "slope and step of 20 x 20 m around the robot as a share of what it drives over, 100 at a limit, -1 not trusted; 2 Hz while somebody listens", recorded="")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     8, "elevation", "whole elevation map, on request; a large one in blocks", recorded="full")
 MAP_PARTS      = Topic("/elevation_map/part",    msg.MapPart,          0, Qos.STATE,    64, "elevation", "the same to be saved, or for a planner that lost something: parts that tell how many they are", recorded="")
 MAP_CLOUD      = Topic("/elevation_map/cloud",   msg.PointCloud2,      0, Qos.STATE,     2, "elevation", "what the map keeps of walls, one point per 0.25 m, on request, before the whole map", recorded="full")

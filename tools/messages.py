@@ -21,6 +21,7 @@ STANDARD = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TwistStamped",
+    "nav_msgs/msg/OccupancyGrid",
     "nav_msgs/msg/Odometry",
     "nav_msgs/msg/Path",
     "rosgraph_msgs/msg/Clock",

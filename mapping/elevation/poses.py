@@ -43,6 +43,11 @@ class Course:
         """For the operator, while poses are refused."""
         self._last: tuple[int, NDArray[np.float64]] | None = None
 
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """x, y [m] of the last one; None before the first."""
+        return None if self._last is None else (float(self._last[1][0]), float(self._last[1][1]))
+
     def forget(self) -> None:
         """The pose was set: the next place may be anywhere."""
         self.warning, self._last = "", None

@@ -9,11 +9,15 @@ from rbtrg_robot import topics
 from rbtrg_robot.hosts.gaps import Gaps
 from rbtrg_robot.hosts.journal import Journal
 from rbtrg_robot.processes import Process
-from rbtrg_robot.stages.stage import KeepsMap, Outputs, Stage
+from rbtrg_robot.stages.stage import KeepsMap, Outputs, Shows, Stage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.heart import Heart
+
+
+SHOWN = 500_000_000
+"""[ns] between two messages that are made for listeners alone."""
 
 
 class Node:
@@ -35,6 +39,8 @@ class Node:
         self._gaps = Gaps(stage)
         for topic in stage.outputs:
             bus.advertise(topic)
+        self._shows = stage if isinstance(stage, Shows) else None
+        self._shown = -1
         bus.subscribe(stage.inputs)
         if simulated:
             bus.subscribe([topics.CLOCK])
@@ -73,6 +79,16 @@ class Node:
             self._tick = tick
             self._journal.ticked(now)
             self._publish(self._stage.tick(now))
+            self._show(now)
+
+    def _show(self, now: int) -> None:
+        """What is made for others alone is made while somebody listens, and never recorded: a re-run needs none of it."""
+        due = now // SHOWN
+        if self._shows is None or due == self._shown:
+            return
+        if self._bus.advertise(self._shows.shown).wanted:
+            self._shown = due
+            self._publish(self._shows.show())
 
     def _publish(self, outputs: Outputs) -> None:
         for topic, message in outputs:

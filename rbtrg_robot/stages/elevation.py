@@ -17,6 +17,7 @@ from hal.robots import describe
 from hal.safety.geofence import GeofenceError
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
+from mapping.elevation.export import Limits, traversal_cost
 from mapping.elevation.files import checked_cloud
 from mapping.elevation.map import AT_A_TIME, ElevationMap
 from mapping.elevation.mirror import WHOLE
@@ -44,6 +45,7 @@ from rbtrg_robot.wire.convert import (
     LayoutError,
     cloud_msg,
     cloud_points,
+    cost_msg,
     joint_sample,
     map_parts,
     map_patch,
@@ -59,16 +61,23 @@ SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
 STATUS_PERIOD = 500_000_000
 """[ns]"""
+COST = 10.0
+"""[m] Half width of the ground around the robot of which `MAP_COST` tells."""
 
 
 class ElevationStage:
     """Registered scans in, the elevation map out. In: poses at the end of each scan, deskewed clouds of every LiDAR,
     joints, tf_static, requests for the map, another prior map, where an operator says that the robot stands. Out:
-    changed blocks, the window around the robot, the whole map on request, status. It never plans, never moves the robot
+    changed blocks, the window around the robot, the whole map on request, status; what the ground costs, while somebody
+    listens. It never plans, never moves the robot
     and writes no file.
     """
 
-    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS, t.AREAS)
+    outputs = (
+        *(t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_COST, t.MAP_CLOUD, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS),
+        t.AREAS,
+    )
+    shown = t.MAP_COST
 
     def __init__(
         self,
@@ -81,12 +90,13 @@ class ElevationStage:
         later: Callable[[], ElevationMap] | None = None,
         areas: Sequence[msg.GroundArea] = (),
         limbs: Limbs | None = None,
+        limits: Limits | None = None,
     ) -> None:
         """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds
         none. start: x, y [m], yaw [rad] of the robot in `map` as configured. `later`: reads the prior map, which
         `elevation` does not hold yet, for a process that was started anew: it gets its map from the planner, the prior
         one in it, and needs no other. `areas`: those that were drawn on the prior map. `limbs`: None takes those of
-        the default robot.
+        the default robot. `limits`: what the robot drives over; None: not known, and no cost is told.
         """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
@@ -97,6 +107,7 @@ class ElevationStage:
         self.map = elevation
         self._limbs = limbs or describe().limbs
         self._params = params
+        self._limits = limits
         self._lidars = lidars
         self._topics = clouds
         self._sensors = {lidar.name: Sensor.of(lidar) for lidar in lidars}
@@ -233,6 +244,13 @@ class ElevationStage:
             outputs += [(t.MAP_UPDATE, patch_msg(p)) for p in patches]
         window = self.map.window(position[0], position[1], self._params.window)
         return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
+
+    def show(self) -> Outputs:
+        """See `Shows`: what the ground around the robot costs; nothing before there is any."""
+        if (place := self._course.place) is None or self._limits is None:
+            return []
+        ground = self.map.window(place[0], place[1], COST)
+        return [(t.MAP_COST, cost_msg(ground.stamp, traversal_cost(ground.grid(), self._limits), ground))]
 
     def _locate(
         self,
@@ -452,6 +470,7 @@ def _prior(config: StackConfig) -> ElevationMap:
 def _build(
     config: StackConfig, elevation: ElevationMap, later: Callable[[], ElevationMap] | None = None
 ) -> ElevationStage:
+    graph = config.graph_params()
     return ElevationStage(
         elevation,
         config.elevation_stage,
@@ -462,4 +481,5 @@ def _build(
         later,
         read_areas(Path(config.map_file)) if config.map_file else (),
         config.facts.limbs,
+        Limits(graph.max_step, graph.max_slope),
     )

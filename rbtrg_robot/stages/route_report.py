@@ -75,12 +75,7 @@ class RouteBase:
             name: array([max((p[name] for p in x.peak.values()), default=0.0) for x in each], F64)
             for name in ("d_fb", "a_lr", "p_int")
         }
-        rows = range(0, len(path.points), EVERY)
-        few = (
-            [*rows, len(path.points) - 1]
-            if len(path.points) and rows[-1] != len(path.points) - 1
-            else [*rows]
-        )
+        few = _some(path, EVERY)
         alternative = np.zeros((0, 3)) if native is None else native.points
         transitions = {
             "length": [x.length for x in each],
@@ -162,11 +157,18 @@ def plan_fields(found: Plan, path: Path, message: msg.PlanRequest) -> dict[str, 
     }
 
 
+def _some(path: Path, every: int) -> list[int]:
+    """Rows of the path, `every` samples apart, and the last one."""
+    rows = range(0, len(path.points), every)
+    return sorted({*rows, *range(len(path.points))[-1:]})
+
+
 def path_msg(path: Path, now: int) -> msg.Path:
-    """nav_msgs/Path, a pose every 0.2 m."""
+    """nav_msgs/Path of where the path goes and the heading of the body there, a pose every 0.2 m and the last one."""
     stamp = header(now, MAP)
+    few = _some(path, 10)
     poses = [
         msg.PoseStamped(stamp, msg.Pose(point(p), yaw_quaternion(yaw)))
-        for p, yaw in zip(path.points[::10], path.yaw[::10], strict=True)
+        for p, yaw in zip(path.points[few], path.yaw[few], strict=True)
     ]
     return msg.Path(header=stamp, poses=poses)

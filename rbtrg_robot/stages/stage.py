@@ -49,6 +49,18 @@ class KeepsMap(Protocol):
 
 
 @runtime_checkable
+class Shows(Protocol):
+    """A stage that shows others something which costs time to make: it does so while somebody listens alone."""
+
+    @property
+    def shown(self) -> Topic:
+        """Where it shows it, twice a second; one of `outputs`."""
+
+    def show(self) -> Outputs:
+        """What it looks like now. Changes nothing in the stage."""
+
+
+@runtime_checkable
 class NeedsAll(Protocol):
     """A stage that keeps a copy of something and is told of its changes alone."""
 

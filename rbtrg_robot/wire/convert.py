@@ -263,6 +263,24 @@ def patch_msg(patch: MapPatch) -> msg.GridMap:
     return message
 
 
+def cost_msg(stamp: int, cost: NDArray[np.int8], ground: MapPatch) -> msg.OccupancyGrid:
+    """nav_msgs/OccupancyGrid of the cells of `ground` in `map`; `cost` (rows, cols), row 0 in the south, as ROS counts.
+    """
+    rows, cols = cost.shape
+    corner = [value - 0.5 * ground.resolution for value in ground.origin]
+    return msg.OccupancyGrid(
+        header=header(stamp, MAP),
+        info=msg.MapMetaData(
+            map_load_time=header(stamp, MAP).stamp,
+            resolution=ground.resolution,
+            width=cols,
+            height=rows,
+            origin=msg.Pose(position=point((*corner, 0.0)), orientation=yaw_quaternion(0.0)),
+        ),
+        data=np.ascontiguousarray(cost, np.int8).reshape(-1),
+    )
+
+
 def map_parts(places: list[P], read: Callable[[P], MapPatch], stamp: int) -> Iterator[msg.MapPart]:
     """A whole map as parts that are read as they are asked for; `stamp` tells those of one sending from others'."""
     for part, place in enumerate(places):

@@ -25,6 +25,7 @@ LAYOUT: dict[str, Any] = json.loads((ROOT / "ros2" / "foxglove.json").read_text(
 SHOWS = {
     "rviz_default_plugins/RobotModel": "std_msgs/msg/String",
     "grid_map_rviz_plugin/GridMap": "grid_map_msgs/msg/GridMap",
+    "rviz_default_plugins/Map": "nav_msgs/msg/OccupancyGrid",
     "rviz_default_plugins/PointCloud2": "sensor_msgs/msg/PointCloud2",
     "rviz_default_plugins/Path": "nav_msgs/msg/Path",
     "rviz_default_plugins/Odometry": "nav_msgs/msg/Odometry",
@@ -65,7 +66,7 @@ def test_the_configuration_is_made_that_of_a_robot_with_a_name_as_the_docs_say()
 
 def test_rviz_knows_our_frames() -> None:
     assert RVIZ["Global Options"]["Fixed Frame"] == "map"
-    assert len(list(shown())) == 7
+    assert len(list(shown())) == 8
 
 
 def field_exists(typename: str, path: list[str]) -> bool:

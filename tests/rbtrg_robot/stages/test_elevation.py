@@ -11,6 +11,7 @@ from hal.lidar.config import LidarConfig
 from hal.robots import describe
 from hal.robots.go2w.facts import MOTORS
 from hal.types import JointSample
+from mapping.elevation.export import Limits
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.tiles import LIDAR
 from rbtrg_robot import topics as t
@@ -38,7 +39,9 @@ class Fed:
 
     def __init__(self, lidars: tuple[LidarConfig, ...] = (LidarConfig(),)) -> None:
         mounted = tuple(lidar.mounted() for lidar in lidars)
-        self.stage = ElevationStage(ElevationMap(), ElevationStageConfig(), mounted)
+        self.stage = ElevationStage(
+            ElevationMap(), ElevationStageConfig(), mounted, limits=Limits(max_step=0.15, max_slope=0.5)
+        )
         self.now = SWEEP
         x, y = np.meshgrid(np.linspace(-6.0, 6.0, 90), np.linspace(-6.0, 6.0, 90))
         self.ground = np.stack([x, y, np.full_like(x, -0.4)], -1).reshape(-1, 3).astype(np.float32)
@@ -187,3 +190,30 @@ def test_a_repeat_of_a_prior_map_changes_nothing() -> None:
     epoch = fed.stage.map.epoch
     assert fed.stage.on(t.MAP_PRIOR, prior) == []
     assert fed.stage.map.epoch == epoch
+
+
+def test_the_cost_of_the_ground_is_a_grid_as_ros_counts() -> None:
+    fed = Fed()
+    assert fed.stage.show() == [], "nothing was seen yet"
+    x, y = np.meshgrid(np.arange(-3.0, 3.0, 0.03), np.arange(-3.0, 3.0, 0.03))
+    fed.ground = np.stack([x, y, np.full_like(x, -0.4)], -1).reshape(-1, 3).astype(np.float32)
+    fed.ground[np.hypot(fed.ground[:, 0] - 2.0, fed.ground[:, 1] - 1.0) < 0.4, 2] += 0.5
+    for _ in range(4):
+        fed.sweep(0.0, 0.0)
+    ((topic, cost),) = fed.stage.show()
+    assert topic is fed.stage.shown is t.MAP_COST
+    assert cost.header.frame_id == MAP
+    assert cost.info.width == cost.info.height == 501
+    grid = cost.data.reshape(cost.info.height, cost.info.width)
+
+    def at(x: float, y: float) -> int:
+        corner = cost.info.origin.position
+        return int(
+            grid[int((y - corner.y) / cost.info.resolution), int((x - corner.x) / cost.info.resolution)]
+        )
+
+    assert at(1.5, -1.0) == 0, "level"
+    assert at(9.0, 9.0) == -1, "not seen"
+    near = [at(2.0 + 0.45 * np.cos(a), 1.0 + 0.45 * np.sin(a)) for a in np.linspace(0, 6.28, 40)]
+    assert max(near) == 100, "a step of half a metre"
+    assert [topic for topic, _ in fed.sweep(0.0, 0.0)] == [t.MAP_WINDOW], "showing changes nothing"

@@ -136,7 +136,7 @@ class StackConfig(BaseModel):
     )
     own_parts: tuple[OwnPart, ...] = Field(
         (),
-        description="boxes in base_link that are parts of the robot, beside its body: no LiDAR return counts there",
+        description="boxes in base_link that belong to the robot beside its body: returns there do not count",
     )
     camera: CameraConfig = CameraConfig()
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")

@@ -182,7 +182,7 @@ class RecorderConfig(BaseModel):
 
     profile: Literal["full", "standard", "lean"] = Field(
         "standard",
-        description="standard: what odometry and map can be made from again, sweeps packed; full: everything, ten times as much; lean: no clouds, no re-run",
+        description="standard: odometry and map can be made again, sweeps packed; full: everything; lean: no clouds, no re-run",
     )
     flush_period: float = Field(
         0.25, gt=0, description="most that a killed recorder loses, beside what comes until it is back [s]"
@@ -195,7 +195,7 @@ class RecorderConfig(BaseModel):
     spare_gb: float = Field(
         2.0,
         ge=0,
-        description="free space below which clouds are not recorded; below a tenth of it, nothing is [GB]",
+        description="free space below which no clouds are recorded, and nothing below a tenth of it [GB]",
     )
 
 

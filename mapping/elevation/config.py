@@ -82,7 +82,7 @@ class ElevationConfig(BaseModel):
         default=120.0,
         ge=10.0,
         le=3600.0,
-        description="what was touched and no ray tells of is forgotten after this time: a door that stood open is tried again [s]",
+        description="time after which a touched wall that no ray shows is forgotten [s]",
     )
     body_width: float = Field(
         default_factory=lambda: describe().body.width,
@@ -100,9 +100,7 @@ class ElevationConfig(BaseModel):
         default=0.3, description="the end of a ray proves nothing about walls it grazes [m]"
     )
     # --- grass and bushes
-    plants: bool = Field(
-        default=True, description="leaves that rays stop in and pass through all through a volume are no step"
-    )
+    plants: bool = Field(default=True, description="grass and bushes are ground at a price, not a step")
     plants_above: float = Field(
         default=0.10, gt=0.0, description="what is not higher above the ground around is not looked at [m]"
     )
@@ -110,7 +108,7 @@ class ElevationConfig(BaseModel):
     bridge_gap: float = Field(default=0.64, description="widest gap filled between two trusted cells [m]")
     bridge_trust: float = Field(
         default=0.2,
-        description="wider gaps are filled but not trusted: a pit may hide there, a wheel is 0.18 m [m]",
+        description="widest bridged gap that is trusted [m]; a wheel is 0.18 m wide",
     )
     bridge_step: float = Field(
         default=0.03, description="height difference across a bridged gap off the local slope [m]"

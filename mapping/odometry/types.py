@@ -23,7 +23,10 @@ class OdometryConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    engine: EngineName = "kiss_icp"
+    engine: EngineName = Field(
+        default="kiss_icp",
+        description="registration: kiss_icp (point to plane, KISS-ICP as witness) or small_gicp (VGICP)",
+    )
     planes: PlanesConfig = PlanesConfig()
     kiss_icp: KissConfig = KissConfig()
     small_gicp: GicpConfig = GicpConfig()
@@ -38,7 +41,7 @@ class OdometryConfig(BaseModel):
         default=1.0, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
     )
     patience: float = Field(
-        default=0.15, gt=0, description="a topic this far behind the others is not waited for [s]"
+        default=0.15, gt=0, description="longest wait for a topic that is behind the others [s]"
     )
     max_time_offset: float = Field(
         default=0.05,
@@ -49,7 +52,7 @@ class OdometryConfig(BaseModel):
     use_joints: bool = Field(default=True, description="wait for and use joint samples")
     without: Literal["", "imu", "lidar"] = Field(
         default="",
-        description="sensor that a log lacks: imu: LiDAR alone, KISS-ICP at constant velocity; lidar: wheels and IMU alone",
+        description="sensor that a log lacks: imu (KISS-ICP alone) or lidar (wheels and IMU alone)",
     )
     smoothing: float = Field(
         default=0.15, gt=0, description="time constant that hides scan corrections from control [s]"

@@ -19,7 +19,7 @@ def main(argv: list[str]) -> int:
     names = sorted(
         m.name
         for m in pkgutil.iter_modules(tools.bench.__path__)
-        if m.name not in ("ports", "raised", "report", "spent", "spread")
+        if m.name not in ("ports", "raised", "records", "report", "spent", "spread")
     )
     names = [n for n in names if not n.startswith("_")]
     if not argv or argv[0] not in names:

@@ -21,7 +21,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.stages.navigation.goal import GoalState
-from tools.bench.lanes.bench import numbers, spreads
+from tools.bench.lanes.bench import spreads
+from tools.bench.records import numbers
 from tools.bench.report import Report
 from tools.bench.spread import spread
 

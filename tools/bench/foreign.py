@@ -13,8 +13,9 @@ from statistics import median
 from typing import Any
 
 from hal.scenes.places import PLACES, place
-from tools.bench.lanes.bench import driven, drives, numbers
+from tools.bench.lanes.bench import driven, drives
 from tools.bench.lanes.trial import Trial
+from tools.bench.records import numbers
 from tools.bench.report import Report
 
 DETOUR = 1.6

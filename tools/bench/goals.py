@@ -12,8 +12,9 @@ from statistics import median
 from typing import Any
 
 from hal.scenes import load_scene
-from tools.bench.lanes.bench import driven, drives, numbers
+from tools.bench.lanes.bench import driven, drives
 from tools.bench.lanes.trial import Trial
+from tools.bench.records import numbers
 from tools.bench.report import Report
 
 RESCUE = (

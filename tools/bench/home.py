@@ -7,11 +7,12 @@ One line per trial goes to `--out` (JSON); trials that stand in it are not drive
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from hal.mujoco.backend import MujocoBackend
 from hal.types import NS
@@ -23,6 +24,7 @@ from rbtrg_robot.missions.file import parse
 from rbtrg_robot.stages.mission.reserve import MORE, PER_METRE, SPARE
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode
+from tools.bench.records import Records
 from tools.bench.report import Report
 
 GOALS = ("flat/b", "flat/far", "yard/a", "yard/b", "maze/exit")
@@ -233,20 +235,15 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--seed", type=int, default=0, help="of the simulation")
     parser.add_argument("--out", type=Path, help="FILE.jsonl")
     options = parser.parse_args(args)
-    done: dict[str, Record] = {}
-    if options.out is not None and options.out.is_file():
-        done = {
-            r.key: r for r in (Record(**json.loads(line)) for line in options.out.read_text().splitlines())
-        }
+    records = Records(options.out)
     for goal, fault in product(options.goals.split(","), options.faults.split(",")):
         trial = Trial(fault, goal, options.seed)
-        if trial.key in done:
-            continue
-        record = done[trial.key] = drive(trial)
-        if options.out is not None:
-            with options.out.open("a") as file:
-                file.write(f"{json.dumps(asdict(record))}\n")
-    return table(list(done.values()))
+        records.get(trial.key, partial(_driven, trial))
+    return table([Record(**record) for record in records.done.values()])
+
+
+def _driven(trial: Trial) -> dict[str, Any]:
+    return asdict(drive(trial))
 
 
 def table(records: list[Record]) -> Report:

@@ -9,8 +9,9 @@ import argparse
 
 from hal.robots import DEFAULT, describe, names
 from hal.robots.check import findings
-from tools.bench.lanes.bench import driven, numbers, spreads
+from tools.bench.lanes.bench import driven, spreads
 from tools.bench.lanes.trial import Trial
+from tools.bench.records import numbers
 from tools.bench.report import Report
 
 GOALS = ("yard/a", "yard/b")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -55,8 +56,17 @@ def test_limits_of_a_fault(outcome: Outcome, missed: str) -> None:
         assert not fault.missed(outcome)
 
 
-def test_the_bench_runs_a_fault_and_misses_it_without_its_monitor() -> None:
-    asked = ["--only", "two_robots_at_start", "--sizes", "1", "--seeds", "0"]
+def test_the_bench_runs_a_fault_and_misses_it_without_its_monitor(tmp_path: Path) -> None:
+    asked = [
+        "--only",
+        "two_robots_at_start",
+        "--sizes",
+        "1",
+        "--seeds",
+        "0",
+        "--out",
+        str(tmp_path / "out.jsonl"),
+    ]
     assert run(asked).ok
     without = run([*asked, "--without", TWO_ROBOTS.name])
     assert [row.key for row in without.rows if not row.ok] == [

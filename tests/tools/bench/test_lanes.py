@@ -8,9 +8,9 @@ import pytest
 from hal.mujoco.sim import Simulation
 from hal.scenes.lanes import lane
 from tools.bench import goals
-from tools.bench.lanes.bench import numbers
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, Watch, drive
+from tools.bench.records import numbers
 from tools.bench.report import least_rate
 
 

@@ -26,5 +26,9 @@ def test_open_ground_and_a_crowd_are_driven_within_their_limits(monkeypatch: pyt
     assert [row.key for row in report.rows] == [
         "open.field_wall.yaw_deg",
         "open.field_wall.way_pct",
-        *(f"crowd.field_posts.{what}" for what in ("standing_m", "standing_deg", "driving_m")),
+        "open.field_wall.held",
+        *(
+            f"crowd.field_posts.{what}"
+            for what in ("standing_m", "standing_deg", "stood", "driving_m", "drove")
+        ),
     ]

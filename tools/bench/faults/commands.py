@@ -7,7 +7,7 @@ import random
 
 from hal.contract import BackendError
 from hal.robots import describe
-from hal.safety.monitors import MAIN_SILENT, OLD_HANDS, ROLLS_ON, TWO_ROBOTS
+from hal.safety.monitors import BLIND_HANDS, GUARD_BLIND, MAIN_SILENT, OLD_HANDS, ROLLS_ON, TWO_ROBOTS
 from hal.types import NS, LidarScan, Sample
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -101,6 +101,19 @@ def _old_hands(delay: float, seed: int) -> Outcome:
         return watch.outcome()
 
 
+def _blind_hands(ahead: float, seed: int) -> Outcome:
+    """Hands whose commands are stamped `ahead` [s] of the robot's clock; with 0 they hold no stamp."""
+    stack = _stack(seed)
+    with Watch(stack) as watch:
+        for _ in range(50):
+            stamp = stack.now + round(ahead * NS) if ahead else 0
+            command = msg.TwistStamped(header=header(stamp, BASE))
+            command.twist.linear.x = 0.3
+            stack.host.inject(t.TELEOP, command)
+            stack.run(0.04)
+        return watch.outcome()
+
+
 def _silent(names: tuple[str, ...], speed: float, seed: int) -> Outcome:
     """LiDARs fall silent while hands drive."""
     stack = _stack(seed)
@@ -135,6 +148,17 @@ FAULTS = (
         says=("more than one robot",),
     ),
     Fault("old_hands", (OLD_HANDS,), (0.7, 3.0), _old_hands, rest=0.0, says=("their sender saw the robot",)),
+    Fault(
+        "blind hands", (BLIND_HANDS,), (0.0, 5.0), _blind_hands, rest=0.0, says=("none that the robot told",)
+    ),
+    Fault(
+        "all LiDARs silent",
+        (GUARD_BLIND,),
+        (0.3, 0.5),
+        lambda speed, seed: _silent(("main", "head"), speed, seed),
+        rest=1.1,  # half a second of silence, braking
+        says=("nobody sees what steps into the way",),
+    ),
     Fault(
         "main_lidar_silent",
         (MAIN_SILENT,),

@@ -94,8 +94,8 @@ def _by_goal(what: Callable[[float], Box]) -> Callable[[float, int], Outcome]:
 
 
 FAULTS = (
-    Fault("contact.pane", (TOUCHED,), (0.0, 60.0), _by_hand(pane), rest=1.0, says=WORDS),
-    Fault("contact.post", (TOUCHED,), (0.0, 0.2), _by_hand(post), rest=1.0, says=WORDS),
+    Fault("contact.pane", (TOUCHED,), (0.0, 60.0, 15.0, 30.0, 45.0), _by_hand(pane), rest=1.0, says=WORDS),
+    Fault("contact.post", (TOUCHED,), (0.0, 0.2, 0.1), _by_hand(post), rest=1.0, says=WORDS),
     Fault("contact.bar", (TOUCHED,), (0.42, 0.13), _by_hand(bar), rest=1.0, says=WORDS),
     Fault(
         "contact.pane_round", (TOUCHED,), (0.0, 45.0), _by_goal(pane), error=0.35, says=(*WORDS, "reached")

@@ -30,9 +30,10 @@ class Fault:
 
     name: str
     monitors: tuple[Monitor, ...]
-    """Those that catch it; without them the row must miss a limit."""
-    sizes: tuple[float, float]
-    """Two sizes, in the unit that `inject` takes."""
+    """Those that catch it; without them the row must miss a limit. None where no check catches it, but the way in which
+    an input is used."""
+    sizes: tuple[float, ...]
+    """Two sizes or more, in the unit that `inject` takes."""
     inject: Callable[[float, int], Outcome]
     """`inject(size, seed)`: bring the stack up, drive, inject, watch, tear down."""
     rest: float | None = None

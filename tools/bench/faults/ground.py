@@ -14,25 +14,32 @@ from typing import Any
 
 import numpy as np
 
+from hal.limbs import LEGS
+from hal.rotation import rotation_rpy
 from hal.safety.monitors import GOAL_SPENT, HOLE_WIDTH, OWN_PARTS
+from hal.types import LidarScan, Sample
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.faults.fault import Fault, Outcome
-from tools.bench.faults.watch import Watch, by_hand
+from tools.bench.faults.watch import Watch, by_hand, tap
 
 CELL, CORNER = 0.02, (-1.5, -1.5)
 DEPTH = 2.0
 """[m] of holes."""
 SINKS = 0.15
 """[m] that base_link sinks by where the robot is in a hole."""
-EDGE = 1.6
-"""[m] from the start to the near rim of a hole on the way."""
-ANGLES = (0.0, 25.0, 50.0)
+EDGE, LEFT = 1.6, 0.12
+"""[m] ahead of the start and to its left, a place on the near rim of a hole: a hole along the way lies before the left
+wheels."""
+ANGLES = (0.0, 25.0, 50.0, 70.0, 90.0)
 """[deg] between the way and the normal of a hole, by seed."""
-DIPS = 0.05
-"""[m] that base_link sinks by, at least, when a wheel goes into a hole: more than over a crack that is crossed."""
+FREE = 0.9
+"""[m] ahead of the start that no hole begins before."""
+LATE = 1.0
+"""[m] from base_link, the farthest ground that sends a ray back where holes are seen late: a third of a metre before the
+nose and the width of a hole."""
 GIVEN_UP = 90.0
 """[s] for a goal 2.6 m away."""
 
@@ -58,25 +65,63 @@ def walled(length: float = 6.0, width: float = 3.0) -> tuple[np.ndarray, np.ndar
     return height, *np.meshgrid(x, y)
 
 
-def _to_hole(width: float, seed: int, *, hands: bool) -> Outcome:
-    """Driven by hand into a hole of `width` [m] from wall to wall, or sent to a goal beyond it."""
+def _to_hole(width: float, seed: int, *, hands: bool, late: bool = False) -> Outcome:
+    """Driven by hand towards a hole of `width` [m] from wall to wall, or sent to a goal beyond it. `fell`: the middle of a
+    wheel came over it.
+    """
     angle = math.radians(ANGLES[seed % len(ANGLES)])
+
+    def inside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        across = (x - EDGE) * math.cos(angle) + (y - LEFT) * math.sin(angle)
+        return (across > 0.0) & (across < width) & (x > FREE)
+
     height, x, y = walled()
-    across = (x - EDGE) * math.cos(angle) + y * math.sin(angle)
-    height[(across > 0.0) & (across < width) & (height == DEPTH)] = 0.0
+    height[inside(x, y) & (height == DEPTH)] = 0.0
     with stack_on(height, seed) as stack:
-        watch = Watch(stack)
-        lowest = level = _height(stack)
+        if late:
+            tap(stack, partial(_near_ground, _mounts(stack)))
+        watch, entered = Watch(stack), False
         if not hands:
             stack.send_goal(EDGE + width + 1.2, 0.0)
-        for _ in range(40):
+        for _ in range(160):
             if hands:
-                by_hand(stack, 0.45, 0.0, 0.2)
+                by_hand(stack, 0.45, 0.0, 0.04)
             else:
-                stack.run(0.4)
-            lowest = min(lowest, _height(stack))
+                stack.run(0.1)
+                if _over(stack):
+                    break
+            wheels = _wheels(stack)
+            entered |= bool(inside(wheels[:, 0], wheels[:, 1]).any())
         outcome = watch.outcome()
-        return replace(outcome, rest=0.0, fell=outcome.fell or lowest < level - DIPS)
+        return replace(outcome, rest=0.0, fell=outcome.fell or entered)
+
+
+def _wheels(stack: Lockstep) -> np.ndarray:
+    """(4, 3) [m] middles of the wheels, by the truth."""
+    simulation = stack.robot.backend.simulation  # type: ignore[attr-defined]
+    return np.array([simulation.data.geom(f"{leg}_wheel").xpos for leg in LEGS])
+
+
+Mounts = dict[str, tuple[np.ndarray, np.ndarray]]
+
+
+def _mounts(stack: Lockstep) -> Mounts:
+    """Rotation (3, 3) and translation (3,) [m] of each LiDAR, base_link <- LiDAR."""
+    mounts = {lidar.name: lidar.mount for lidar in stack.robot.backend.capabilities.lidars}
+    return {name: (rotation_rpy(*m.rpy), np.array(m.translation)) for name, m in mounts.items()}
+
+
+def _near_ground(mounts: Mounts, samples: list[Sample]) -> list[Sample]:
+    """Wet ground: rays that meet it, or what lies below it, farther than LATE do not come back."""
+    out: list[Sample] = []
+    for sample in samples:
+        if isinstance(sample, LidarScan):
+            turned, moved = mounts[sample.name]
+            xyz = np.column_stack([sample.points[axis] for axis in "xyz"]) @ turned.T + moved
+            seen = (xyz[:, 2] > -0.2) | (np.hypot(xyz[:, 0], xyz[:, 1]) < LATE)
+            sample = replace(sample, points=sample.points[seen])
+        out.append(sample)
+    return out
 
 
 def _antenna(size: float, seed: int) -> Outcome:
@@ -116,11 +161,12 @@ def _height(stack: Lockstep) -> float:
     return float(stack.newest[t.TRUTH].pose.pose.position.z)
 
 
+WIDTHS = (0.16, 0.2, 0.13, 0.25, 0.35, 0.6)
+"""Of holes [m]."""
 FAULTS = (
-    Fault(
-        "hole by hand", (HOLE_WIDTH,), (0.16, 0.2), partial(_to_hole, hands=True), says=(HOLE_WIDTH.words,)
-    ),
-    Fault("hole before a goal", (HOLE_WIDTH,), (0.16, 0.2), partial(_to_hole, hands=False)),
+    Fault("hole by hand", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=True)),
+    Fault("hole before a goal", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=False)),
+    Fault("hole seen late", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=True, late=True)),
     Fault("own antenna", (OWN_PARTS,), (0.03, 0.06), _antenna, says=("own_parts",)),
     Fault("goal behind a moat", (GOAL_SPENT,), (0.3, 0.5), _moat, rest=40.0, error=0.25),
 )

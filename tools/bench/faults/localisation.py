@@ -8,8 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from hal.mujoco.backend import MujocoBackend
-from hal.safety.monitors import IMPOSSIBLE_SPEED, IMU_REPEATS, LIDAR_REPEATS, MOVED_WHILE_STILL
-from hal.types import NS, ImuSample, LidarScan, Sample
+from hal.safety.monitors import (
+    IMPOSSIBLE_SPEED,
+    IMU_REPEATS,
+    JOINTS_REPEAT,
+    LIDAR_REPEATS,
+    MOVED_WHILE_STILL,
+    SCANS_DISAGREE,
+)
+from hal.types import NS, ImuSample, JointSample, LidarScan, Sample
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -84,6 +91,54 @@ def _shoved() -> Change:
     return change
 
 
+def _spinning() -> Change:
+    """All wheels turn faster by 0.7 m/s, as on ice."""
+
+    def change(samples: list[Sample]) -> list[Sample]:
+        faster = np.concatenate([np.zeros(12), np.full(4, 8.0)])
+        return [
+            replace(s, velocity=s.velocity + faster) if isinstance(s, JointSample) else s for s in samples
+        ]
+
+    return change
+
+
+SIGHTS = "field", "field_wall", "field_posts"
+CROWDS = "field", "field_posts"
+
+
+def _open_ground(way: float, seed: int) -> Outcome:
+    """To a goal `way` [m] ahead on level ground with hardly anything in sight."""
+    return _to_goal(SIGHTS[seed % len(SIGHTS)], way, 0, seed)
+
+
+def _in_a_crowd(people: float, seed: int) -> Outcome:
+    """To a goal 5 m ahead while people walk past."""
+    return _to_goal(CROWDS[seed % len(CROWDS)], 5.0, int(people), seed)
+
+
+def _to_goal(scene: str, way: float, people: int, seed: int) -> Outcome:
+    """The last word is the end of the goal."""
+    sets = ["record=false", "sim.lidar_step=4", f"seed={seed}", f"sim.people={people}"]
+    stack = Lockstep(load(None, sets, scene=scene))
+    stack.wait_ready()
+    with Watch(stack) as watch:
+        stack.send_goal(way, 0.0)
+        state = stack.finish_goal(60.0).state
+        outcome = watch.outcome()
+        return replace(outcome, words=f"{outcome.words}\n{state}")
+
+
+def _stands_in_a_crowd(people: float, seed: int) -> Outcome:
+    scene = CROWDS[seed % len(CROWDS)]
+    sets = ["record=false", "sim.lidar_step=4", f"seed={seed}", f"sim.people={int(people)}"]
+    stack = Lockstep(load(None, sets, scene=scene))
+    stack.wait_ready()
+    with Watch(stack) as watch:
+        stack.run(12.0)
+        return watch.outcome()
+
+
 def _moving_floor(speed: float, seed: int) -> Outcome:
     """The robot stands, and what it stands on moves with `speed` [m/s]."""
     stack = Lockstep(load(None, ["sim.lidar_step=4", f"seed={seed}"], scene="flat"))
@@ -112,6 +167,17 @@ FAULTS = (
         "frozen_imu", (IMU_REPEATS,), (0.3, 0.5), _while_driving(_frozen(ImuSample)), rest=0.5, error=0.25,
         says=("IMU repeats",),
     ),
+    Fault(
+        "frozen joints", (JOINTS_REPEAT,), (0.3, 0.5), _while_driving(_frozen(JointSample)), error=0.25,
+        says=("joints repeat",),
+    ),
+    Fault(
+        "spinning wheels", (SCANS_DISAGREE,), (0.3, 0.5), _while_driving(_spinning), error=0.25,
+        says=("all wheels slip",),
+    ),
+    Fault("open ground", (), (5.0, 8.0), _open_ground, error=0.25, says=("reached",)),
+    Fault("crowd, standing", (), (2.0, 10.0, 6.0), _stands_in_a_crowd, rest=0.0, error=0.05),
+    Fault("crowd, driving", (), (2.0, 10.0, 6.0), _in_a_crowd, error=0.25, says=("reached",)),
     Fault(
         "impossible_speed", (IMPOSSIBLE_SPEED,), (0.3, 0.5), _while_driving(_shoved), error=0.25,
         says=("as no robot can",),

@@ -14,13 +14,15 @@ from hal.safety.monitors import (
     CLOCK_STEP,
     GRAVITY_SIDE,
     GRAVITY_SIZE,
+    JOINT_SPEED,
     MOTOR_LOST,
     POINT_TIMES,
     STAMP_AHEAD,
     SWEEP_CLOCK,
     SWEEP_LATE,
+    TURN_RATE,
 )
-from hal.types import NS, ImuSample, LidarScan, Sample
+from hal.types import NS, ImuSample, JointSample, LidarScan, Sample
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
@@ -137,6 +139,24 @@ def _imu_ahead(ahead: float) -> Callable[[list[Sample]], list[Sample]]:
     return change
 
 
+def _gyro(rate: float) -> Callable[[list[Sample]], list[Sample]]:
+    """About every axis [rad/s]."""
+    return _each(lambda s: replace(s, gyro=s.gyro + rate) if isinstance(s, ImuSample) else s)
+
+
+def _one_joint(rate: float) -> Callable[[list[Sample]], list[Sample]]:
+    """The first motor's encoder [rad/s]."""
+
+    def edit(sample: Sample) -> Sample:
+        if not isinstance(sample, JointSample):
+            return sample
+        velocity = sample.velocity.copy()
+        velocity[0] = rate
+        return replace(sample, velocity=velocity)
+
+    return _each(edit)
+
+
 def _times_of_no_sweep(off: float) -> Callable[[list[Sample]], list[Sample]]:
     def edit(sample: Sample) -> Sample:
         if not isinstance(sample, LidarScan):
@@ -160,6 +180,8 @@ FAULTS = (
     Fault("IMU of the robot in g or reversed", (GRAVITY_SIZE, GRAVITY_SIDE), (1 / 9.81, -1.0), partial(_against_peer, partial(_set, "accel_scale"), 3.0), rest=1.0, says=("IMU",)),
     Fault("clock of the sweeps set", (SWEEP_CLOCK,), (-0.3, 0.25), partial(_in_lockstep, _lidar_clock, 2.5), error=0.05, says=("the clock of the main LiDAR is",)),
     Fault("IMU in g or reversed", (GRAVITY_SIZE, GRAVITY_SIDE), (1 / 9.81, -1.0), partial(_in_lockstep, _imu_scale, 2.5), rest=1.5, error=0.05, says=("IMU", "wrong")),
+    Fault("impossible turn rate", (TURN_RATE,), (40.0, 1e20), partial(_in_lockstep, _gyro, 2.5), rest=1.5, error=0.05, says=("a turn rate of",)),
+    Fault("impossible joint speed", (JOINT_SPEED,), (1e3, 1e20), partial(_in_lockstep, _one_joint, 2.5), error=0.05, says=("joints:", "rad/s, possible")),
     Fault("IMU stamp ahead", (STAMP_AHEAD,), (3.0, 0.3), partial(_in_lockstep, _imu_ahead, 2.0), error=0.05, says=("IMU: a stamp",)),
     Fault("times of no sweep", (POINT_TIMES,), (3.0, 40.0), partial(_in_lockstep, _times_of_no_sweep, 2.0), error=0.05, says=("point field 'time' holds",)),
 )  # fmt: skip

@@ -6,7 +6,6 @@ One line per trial goes to `--out` (JSON); trials that stand in it are not drive
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from hal.robots import DEFAULT, describe
 from tools.bench.lanes.picture import draw
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, drive
+from tools.bench.records import Records, numbers
 from tools.bench.report import Report
 from tools.bench.spread import spread
 
@@ -92,35 +92,18 @@ def driven(
     trials: Sequence[Trial], out: Path | None, pictures: Path | None, workers: int, scheduler: str
 ) -> list[dict[str, Any]]:
     """Records of `trials`, those that stand in the file `out` and those that are driven now; see `spread`. `pictures`: a folder."""
-    wanted = {trial.key for trial in trials}
-    done = {r["key"]: r for r in _read(out) if r["key"] in wanted}
+    records, wanted = Records(out), {trial.key for trial in trials}
+    done = {key: record for key, record in records.done.items() if key in wanted}
     left = [trial for trial in trials if trial.key not in done]
     for record in spread(drive, [(trial,) for trial in left], workers, scheduler):
         done[record["key"]] = record
+        records.add(record)
         told = f"{record['outcome']} {record['reason']} {record['detail']}"
         print(
             f"{len(done)}/{len(trials)} {record['key']} {told} {record['time']:.1f} s",
             file=sys.stderr,
             flush=True,
         )
-        if out:
-            with out.open("a") as file:
-                file.write(json.dumps(record) + "\n")
         if pictures and record["outcome"] != ("refused" if record["level"] == 5 else "reached"):
             draw(record, pictures / f"{record['key']}.png")
     return list(done.values())
-
-
-def numbers(text: str) -> list[int]:
-    """`0-3,7` -> 0, 1, 2, 3, 7."""
-    out: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        out += range(int(first), int(last or first) + 1)
-    return out
-
-
-def _read(file: Path | None) -> list[dict[str, Any]]:
-    if file is None or not file.exists():
-        return []
-    return [json.loads(line) for line in file.read_text().splitlines() if line]

@@ -6,13 +6,14 @@
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
 `--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
 scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU, `--mounts 15` with mounts that are off. `--metres 1000` maps a street of that length. `--only NAME` runs one part. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
-`--open 20` drives so often on open ground of each kind, and in a crowd.
+`--open 20` drives so often on open ground of each kind, and in a crowd; with `--out FILE` what stands in it is not driven again.
 `--no-joints` hides the joints from the odometry.
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from mapping.odometry.types import OdometryConfig
 from tools.bench.perception import basin as _perception_basin
@@ -26,6 +27,7 @@ from tools.bench.perception import open_ground as _perception_open
 from tools.bench.perception import relocalise as _perception_relocalise
 from tools.bench.perception import soak as _perception_soak
 from tools.bench.perception.odometry import Errors, drive, errors
+from tools.bench.records import Records
 from tools.bench.report import Report
 from tools.synthetic import arena_run
 
@@ -62,6 +64,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--mounts", type=float, default=15.0, metavar="SECONDS")
     parser.add_argument("--offset", type=float, default=20.0, metavar="SECONDS")
     parser.add_argument("--no-joints", action="store_true")
+    parser.add_argument("--out", type=Path)
     options = parser.parse_args(args)
     report = Report("perception")
     asked = {options.only} if options.only else set(PARTS)
@@ -82,7 +85,7 @@ def run(args: list[str]) -> Report:
             _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
         _perception_lidar.rows(report, options.lidar.split(","))
     if options.open > 0 and "open" in asked:
-        _perception_open.rows(report, options.open)
+        _perception_open.rows(report, options.open, Records(options.out))
     if options.basin > 0 and "basin" in asked:
         _perception_basin.rows(report, options.basin)
     if options.lanes > 0 and "lanes" in asked:

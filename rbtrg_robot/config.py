@@ -30,7 +30,7 @@ from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.holes import Crossing
 from mapping.grid import FARTHEST
-from mapping.odometry.own import OwnPart
+from mapping.odometry.own import OwnPart, too_far
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
@@ -237,6 +237,8 @@ class StackConfig(BaseModel):
                 f"body: the robot is {own.length} m long and {own.width} m wide: larger, up to {own.length + 0.8:.1f} and "
                 f"{own.width + 0.57:.1f} m, where it carries something"
             )
+        if wrong := too_far(self.own_parts, own.length, own.width):
+            raise ValueError(f"own_parts: {wrong}")
         if self.gate.fence_margin < own.length / 2:
             raise ValueError(f"gate.fence_margin: the body reaches {own.length / 2} m ahead of base_link")
         return self
@@ -465,7 +467,7 @@ def _facts(robot: Robot) -> dict[str, Any]:
         "graph": {"length": body.length, "width": body.width},
         "gate": {"fence_margin": 0.5 * math.hypot(body.length, body.width)},
         "odometry": {"inertial": {"imu_position": robot.imu.translation, "limbs": robot.limbs}},
-        "elevation": {"body_width": body.width},
+        "elevation": {"body_size": (body.length, body.width)},
     }
     _merge(values, robot.settings)
     return values

@@ -24,9 +24,9 @@ class ElevationConfig(BaseModel):
     ceiling_slope: float = Field(
         default=0.5, description="... plus this times their distance, so that ramps stay [m/m]"
     )
-    body_box: tuple[float, float, float, float, float, float] = Field(
-        default=(-0.45, 0.45, -0.30, 0.30, -0.50, 0.25),
-        description="x0 x1 y0 y1 z0 z1 around the robot, base_link [m]: what is so near a LiDAR sees too steeply to map; its own parts are `own_parts`",
+    beside: tuple[float, float] = Field(
+        default=(0.10, 0.085),
+        description="nearer to the body, ahead or behind and aside, nothing is mapped: a LiDAR sees it too steeply [m]",
     )
     # --- noise of the pose
     attitude_sigma: float = Field(default=0.0035, gt=0.0, description="roll/pitch noise of the pose [rad]")
@@ -84,10 +84,10 @@ class ElevationConfig(BaseModel):
         le=3600.0,
         description="time after which a touched wall that no ray shows is forgotten [s]",
     )
-    body_width: float = Field(
-        default_factory=lambda: describe().body.width,
+    body_size: tuple[float, float] = Field(
+        default_factory=lambda: (describe().body.length, describe().body.width),
         exclude=True,
-        description="the robot's own [m]; set there, not here",
+        description="the robot's own length and width [m]; set there, not here",
     )
     # --- clean-up
     clean_range: float = Field(default=6.0, description="rays are traced this far [m]")

@@ -47,6 +47,8 @@ _HITS = 100_000
 STEEP_RAYS = 2.0
 """[m] along the ground that the rays of the head's LiDAR are followed in each scan. They alone look into holes, few
 into each; `clean` takes the rays of one scan in three."""
+_TALL = -0.50, 0.25
+"""z [m] in base_link between which nothing is mapped beside the body."""
 FINEST = 0.03
 """Cells [m] in which plants are looked for."""
 UPRIGHT = 0.7
@@ -77,7 +79,8 @@ class ElevationMap:
         self._around: Layers | None = None
         self._prior: PriorCheck | None = None
         self._buffers(1024)
-        self._body = np.array(p.body_box)
+        x, y = (0.5 * size + beside for size, beside in zip(p.body_size, p.beside, strict=True))
+        self._body = np.array([-x, x, -y, y, *_TALL])
         self._fuse_rule = np.array(
             [
                 p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,

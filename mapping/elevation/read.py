@@ -40,7 +40,7 @@ class MapReader:
         self._crossing = crossing
         self.granted = True
         """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
-        self.walls = TouchedWalls(round(1e3 * p.touched_fade), p.body_width)
+        self.walls = TouchedWalls(round(1e3 * p.touched_fade), p.body_size[1])
         self._rules = [
             bridge_rule(
                 p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, blind, p.bridge_trust

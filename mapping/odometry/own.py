@@ -38,12 +38,6 @@ class OwnPart(BaseModel):
     def _is_a_box(self) -> OwnPart:
         if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
             raise ValueError("`low` must lie below `high` in x, y and z")
-        if (np.abs([self.low, self.high]) > OUTLINE).any():
-            x, y, z = OUTLINE.tolist()
-            raise ValueError(
-                f"a part of the robot lies within {x:.2f} m ahead and behind, {y:.2f} m aside, {z:.2f} m above and below: "
-                "more would blind it"
-            )
         return self
 
     @property
@@ -60,10 +54,25 @@ class OwnPart(BaseModel):
         return f"{{low: [{low}], high: [{high}]}}"
 
 
-OUTLINE = np.array([describe().body.length / 2 + 0.3, describe().body.width / 2 + 0.3, 1.0])
-"""[m] from base_link along each axis: parts stick out no further, of no robot."""
 SPARE = 0.03
 """[m] around a part: noise of the LiDARs, and what it sways."""
+
+
+def outline(length: float, width: float) -> Array:
+    """(3,) [m] from base_link along each axis: parts of a robot of this size [m] stick out no further."""
+    return np.array([length / 2 + 0.3, width / 2 + 0.3, 1.0])
+
+
+def too_far(parts: Sequence[OwnPart], length: float, width: float) -> str:
+    """Why some of `parts` are none of a robot of this size [m], in words; empty where all may be."""
+    most = outline(length, width)
+    if all((np.abs([part.low, part.high]) <= most).all() for part in parts):
+        return ""
+    x, y, z = most.tolist()
+    return (
+        f"a part of the robot lies within {x:.2f} m ahead and behind, {y:.2f} m aside, {z:.2f} m above and below: "
+        "more would blind it"
+    )
 
 
 def body_boxes(length: float, width: float) -> tuple[OwnPart, OwnPart]:
@@ -87,7 +96,8 @@ class OwnFilter:
     ) -> None:
         """`parts`: boxes beside the body; `mounts`: each LiDAR in base_link; `size`: length and width of the body [m],
         None: of the default robot."""
-        body = body_boxes(*(size or (describe().body.length, describe().body.width)))
+        size = size or (describe().body.length, describe().body.width)
+        body, self.outline = body_boxes(*size), outline(*size)
         self._boxes = np.array([(*part.low, *part.high) for part in (*body, *parts)])
         self._mounts = {
             name: (rotation_rpy(*mount.rpy), np.array(mount.translation)) for name, mount in mounts.items()
@@ -171,7 +181,9 @@ class OwnParts:
     place, too, and no ray looks through them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, outline: Array) -> None:
+        """`outline`: (3,) [m] from base_link, how far parts stick out at most."""
+        self._outline = np.minimum(outline, NEAR)
         self._side = (2 * round(NEAR / VOXEL),) * 3
         self._last: Array | None = None
         self.found: tuple[OwnPart, ...] = ()
@@ -214,7 +226,7 @@ class OwnParts:
         here = np.zeros(self._side, np.bool_)
         for measured, moved, lidar in sweeps:
             self._ask(moved, lidar, pose)
-            near = np.flatnonzero((np.abs(measured) < OUTLINE).all(axis=1) & (measured[:, 2] > ABOVE))
+            near = np.flatnonzero((np.abs(measured) < self._outline).all(axis=1) & (measured[:, 2] > ABOVE))
             points = measured[near]
             at = np.floor((points + NEAR) / VOXEL).astype(np.int64).clip(0, self._side[0] - 1)
             voxels = np.ravel_multi_index((at[:, 0], at[:, 1], at[:, 2]), self._side)
@@ -257,7 +269,7 @@ class OwnParts:
             low, high = self._low[those].min(axis=0) - SPARE, self._high[those].max(axis=0) + SPARE
             shown = empty >= ASKED or any(part.holds(0.5 * (low + high)) for part in self.found)
             if shown and taken <= TAKEN * empty:
-                low, high = np.maximum(low, -OUTLINE), np.minimum(high, OUTLINE)
+                low, high = np.maximum(low, -self._outline), np.minimum(high, self._outline)
                 boxes.append(OwnPart(low=_corner(low), high=_corner(high)))
         return tuple(sorted(boxes, key=lambda box: box.low))
 

@@ -76,7 +76,7 @@ class LidarInertialOdometry:
         params = params or OdometryConfig()
         mounts = mounts or {"main": describe().mounts["xt16"]}
         self._own = OwnFilter(own, mounts, size)
-        self.parts = OwnParts()
+        self.parts = OwnParts(self._own.outline)
         """What moves with the robot and is none of `own`."""
         self.params = params
         self.counters: Counter[str] = Counter()

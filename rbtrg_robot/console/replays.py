@@ -13,6 +13,7 @@ import re
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -206,10 +207,11 @@ class Replays:
                     end = line  # told when the process is gone: then the next one may begin
                 elif line:
                     told(line)
-        except ValueError as error:  # a line without end
-            log.warning("%s said what cannot be read: %s", what, error)
-            end = {"wrong": "it said what cannot be read; see the log of the console"}
-            child.kill()
+        except Exception:  # a line without end; nobody would wait for the child, and the next one never begin
+            log.exception("what the %s says cannot be read or shown", what)
+            end = {"wrong": "what it says cannot be read or shown; see the log of the console"}
+            with suppress(ProcessLookupError):  # it has ended by itself
+                child.kill()
         code = await child.wait()
         if self._children.get(what) is child:
             del self._children[what]

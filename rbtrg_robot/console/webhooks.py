@@ -8,6 +8,7 @@ import queue
 import threading
 import urllib.request
 from collections.abc import Iterable
+from http.client import HTTPException
 from typing import Any
 
 from hal.errors import one_line
@@ -70,7 +71,11 @@ class Webhook:
         )
         try:
             self._opener.open(request, timeout=PATIENCE).close()
-        except (OSError, ValueError) as error:  # HTTPError is an OSError; a broken answer is a ValueError
+        except (
+            OSError,
+            ValueError,
+            HTTPException,
+        ) as error:  # HTTPError is an OSError; HTTPException: no HTTP
             return one_line(error)
         return ""
 

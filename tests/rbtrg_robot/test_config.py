@@ -14,6 +14,7 @@ from hal.contract import BackendError
 from hal.mujoco.config import SimConfig
 from hal.types import Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
+from mapping.odometry.own import OwnPart
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.stages.planner import build as build_planner
@@ -219,3 +220,14 @@ def test_a_key_in_a_list_that_this_version_does_not_have_is_left_out() -> None:
     values, unknown = of_log(b"lidars: [{name: main, model: xt16, shape: round}]")
     assert unknown == ["lidars.0.shape"]
     assert load(base=values).lidars[0].model == "xt16"
+
+
+@pytest.mark.parametrize(("model", "ahead"), [("go2w", 0.65), ("jackal", 0.55)])
+def test_own_parts_stick_out_of_this_robot_by_thirty_centimetres_at_most(model: str, ahead: float) -> None:
+    def parts(x: float) -> tuple[OwnPart, ...]:
+        box = f"{{low: [0.3, -0.1, 0.0], high: [{x}, 0.1, 0.2]}}"
+        return load(None, [f"own_parts=[{box}]"], robot_model=model).own_parts
+
+    assert parts(ahead - 0.01)[0].high[0] == ahead - 0.01
+    with pytest.raises(ConfigError, match=f"own_parts: a part of the robot lies within {ahead:.2f} m ahead"):
+        parts(ahead + 0.02)

@@ -131,6 +131,10 @@ def test_wheels_that_spin_are_told_within_a_second(recorded: tuple[SyntheticRun,
     assert start < told[0] <= start + 1.0 * NS
     assert {s.health for s in out.scans if s.stamp in told} == {Health.DEGRADED}
     assert error(run, out.scans, 10, -1)[0] < 0.03
+    with taken_out(monitors.SCANS_DISAGREE.name):
+        assert {s.health for s in Driven(spun(samples, slice(None))).scans if s.stamp in told} == {
+            Health.GOOD
+        }
 
 
 def test_wheels_of_which_one_does_not_spin_agree_with_the_scans(

@@ -18,7 +18,7 @@ from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import quaternion, rotation_rpy
 from hal.safety.monitors import OWN_PARTS, taken_out
 from hal.types import NS
-from mapping.odometry.own import SPARE, OwnFilter, OwnPart, OwnParts, body_boxes
+from mapping.odometry.own import SPARE, OwnFilter, OwnPart, OwnParts, body_boxes, outline, too_far
 
 ANTENNA = OwnPart(low=(-0.22, 0.25, -0.1), high=(-0.19, 0.28, 0.2))
 BODY = body_boxes(0.70, 0.43)
@@ -48,11 +48,17 @@ def test_the_filter_equals_numpy(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("low", "high"),
-    [((0, 0, 0), (0, 1, 1)), ((0, 0, 0), (0.1, -0.1, 0.1)), ((0, 0, 0), (0.1, 0.6, 0.1)), ((-0.9, 0, 0), (0.1, 0.1, 0.1))],
-)  # fmt: skip
-def test_a_box_that_would_blind_the_robot_is_refused(low: tuple, high: tuple) -> None:
+    [((0, 0, 0), (0, 1, 1)), ((0, 0, 0), (0.1, -0.1, 0.1))],
+)
+def test_what_is_no_box_is_refused(low: tuple, high: tuple) -> None:
     with pytest.raises(ValidationError):
         OwnPart(low=low, high=high)
+
+
+@pytest.mark.parametrize(("low", "high"), [((0, 0, 0), (0.1, 0.6, 0.1)), ((-0.9, 0, 0), (0.1, 0.1, 0.1))])
+def test_a_box_that_would_blind_the_robot_is_refused(low: tuple, high: tuple) -> None:
+    assert "would blind it" in too_far([ANTENNA, OwnPart(low=low, high=high)], 0.70, 0.43)
+    assert not too_far([ANTENNA], 0.70, 0.43)
 
 
 FLAT = np.zeros((160, 400), np.float32)
@@ -102,7 +108,8 @@ class Way:
             )
             for name, model in (("main", "xt16"), ("head", "l1"))
         }
-        own, out, stamp = OwnFilter([], MOUNTS), OwnParts(), 0
+        own, stamp = OwnFilter([], MOUNTS), 0
+        out = OwnParts(own.outline)
         for x, yaw in way:
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = rotation_rpy(0.0, 0.0, yaw), (x, 0.0, 0.4)
@@ -177,7 +184,7 @@ def test_what_stands_beside_the_way_is_no_part(way: Way) -> None:
 
 
 def test_a_robot_that_stands_tells_nothing() -> None:
-    parts, pose = OwnParts(), np.eye(4)
+    parts, pose = OwnParts(outline(0.70, 0.43)), np.eye(4)
     assert parts.due(pose)
     parts.look([], pose)
     assert not parts.due(pose)

@@ -7,6 +7,7 @@ import http.client
 import http.server
 import json
 import math
+import socketserver
 import threading
 from pathlib import Path
 from typing import Any
@@ -222,6 +223,25 @@ def test_events_are_posted_to_the_addresses_of_the_configuration_and_nowhere_els
     assert "/elsewhere" not in {path for path, _ in asked}
     with pytest.raises(ConfigError, match="webhooks"):
         load(None, ["console.webhooks=[file:///etc/passwd]"])
+
+
+def test_an_address_that_speaks_no_http_ends_no_webhook(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rbtrg_robot.console.webhooks.AGAIN", (0.0,))
+    heard: list[bytes] = []
+
+    class Handler(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            heard.append(self.request.recv(4096))
+            self.request.sendall(b"what?\r\n")
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever).start()
+        (hook,) = hooks((f"http://127.0.0.1:{server.server_address[1]}",), "rex")
+        for number in (7, 8):
+            hook(msg.Event(number=number, kind="stop", severity=2, text="e-stop: operator"))
+        until(lambda: any(b'"number": 8' in words for words in heard))
+        hook.close()
+        server.shutdown()
 
 
 def test_one_operates_at_a_time(console: Console, robot: Program) -> None:

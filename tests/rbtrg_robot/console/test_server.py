@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import ssl
@@ -23,7 +24,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.access.certificates import KeysError, make_authority
 from rbtrg_robot.access.identity import CA, ROBOT, keys_dir
 from rbtrg_robot.config import ConfigError, load
-from rbtrg_robot.console import door, replays
+from rbtrg_robot.console import door, replays, server
 from rbtrg_robot.console.desk import ONLY_SEE
 from rbtrg_robot.console.lease import VALID, Lease
 from rbtrg_robot.console.server import ConsoleError, listening, serving
@@ -539,3 +540,55 @@ def test_a_replay_that_cannot_be_shown_is_told(console: Console, monkeypatch: py
     until(lambda: bool(told))
     playback.close()
     assert told[0][1]["wrong"] == "it cannot be shown; see the log of the console"
+
+
+def test_a_job_whose_words_cannot_be_shown_is_ended_and_told(console: Console) -> None:
+    """Its reader ended unseen, and the console said for ever that a run is being run again."""
+    told: list[dict[str, Any]] = []
+
+    def shows(line: dict[str, Any]) -> None:
+        told.append(line)
+        if "seconds" in line:
+            raise KeyError("of a line that nobody foresaw")
+
+    class Child:
+        def __init__(self) -> None:
+            self.stdout = asyncio.StreamReader()
+            self.stdout.feed_data(b'{"seconds": 1.0}\n{"words": "done"}\n')
+            self.ended = asyncio.Event()
+            self.kill = self.ended.set
+
+        async def wait(self) -> int:
+            await self.ended.wait()
+            return -9
+
+    async def read() -> None:
+        jobs = replays.Replays(
+            console.config, SimpleNamespace(wishes={}), SimpleNamespace(), asyncio.get_running_loop()
+        )  # type: ignore[arg-type]
+        child = jobs._children["rerun"] = Child()  # type: ignore[assignment]
+        await asyncio.wait_for(jobs._read("rerun", child, shows), 5.0)  # type: ignore[arg-type]
+        assert not jobs._children
+
+    asyncio.run(read())
+    assert told[-1] == {"wrong": "what it says cannot be read or shown; see the log of the console"}
+
+
+def test_a_supervisor_that_answers_nonsense_is_asked_again(
+    console: Console, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its asker ended unseen, and the pages showed what was last heard for ever."""
+    monkeypatch.setattr(server, "STATUS_PERIOD", 0.05)
+    host = console.address().split("/")[2]
+    with connect(
+        f"ws://{host}/live", origin=f"http://{host}", additional_headers={"Cookie": cookie(console)}
+    ) as socket:  # type: ignore[arg-type]
+        socket.send('{"do": "see"}')
+        for nonsense in (b"[", b"[]", b'{"robot": 3}'):
+            caplog.clear()
+            console.robot.status = nonsense
+            until(lambda: "the supervisor's status cannot be shown" in caplog.text)
+        console.robot.status = b'{"mark": 17}'
+        while b'"mark":17' not in socket.recv(5.0):  # type: ignore[operator]
+            pass
+    console.robot.status = b"{}"

@@ -153,6 +153,21 @@ def _moat(width: float, seed: int) -> Outcome:
         return replace(outcome, rest=took, fell=outcome.fell or _height(stack) < level - SINKS)
 
 
+def _before_a_wall(left: float, seed: int) -> Outcome:
+    """A goal `left` [m] before a wall, where the body stands with its nose at it: how long until it ends, as `rest`."""
+    height, x, _ = walled()
+    wall = float(x[0, -3])
+    with stack_on(height, seed) as stack:
+        watch, began = Watch(stack), stack.seconds
+        stack.send_goal(wall - left, 0.1 * (seed % 3 - 1))
+        stack.run(0.2)
+        while not _over(stack) and stack.seconds - began < GIVEN_UP:
+            stack.run(0.5)
+        took = stack.seconds - began if _over(stack) else math.inf
+        outcome = watch.outcome()
+        return replace(outcome, rest=took, words=f"{outcome.words}\n{stack.newest[t.GOAL_STATUS].state}")
+
+
 def _over(stack: Lockstep) -> bool:
     return GoalState(stack.newest[t.GOAL_STATUS].state).terminal
 
@@ -168,5 +183,6 @@ FAULTS = (
     Fault("hole before a goal", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=False)),
     Fault("hole seen late", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=True, late=True)),
     Fault("own antenna", (OWN_PARTS,), (0.03, 0.06), _antenna, says=("own_parts",)),
+    Fault("goal before a wall", (), (0.38, 0.5), _before_a_wall, rest=30.0, error=0.25, says=("reached",)),
     Fault("goal behind a moat", (GOAL_SPENT,), (0.3, 0.5), _moat, rest=40.0, error=0.25),
 )

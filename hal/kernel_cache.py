@@ -20,7 +20,7 @@ from pathlib import Path
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("hal", "mapping", "planning")
+PACKAGES = ("hal", "mapping", "planning", "tools")
 FACTS = "robot.yaml"
 """Numbers that kernels beside it freeze."""
 _IMPORT = re.compile(

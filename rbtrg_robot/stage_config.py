@@ -149,7 +149,7 @@ class PlannerConfig(BaseModel):
     method: str = Field(
         "rb_trg",
         pattern=PATTERN,
-        description="rb_trg: the project's planner; t_hybrid, art: baselines, for comparison; an installed planner (entry point of rbtrg.planners) or package.module:function (docs/extend.md)",
+        description="rb_trg: the project's planner; an installed planner (entry point of rbtrg.planners) or package.module:function (docs/extend.md)",
     )
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
         "full", description="rb_trg: cost variant of the search"

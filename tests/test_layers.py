@@ -45,8 +45,6 @@ ROOMS: dict[str, str] = {
     "planning.search": "hal hal.envelope hal.safety mapping planning planning.graph planning.risk",
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "hal mapping planning planning.risk planning.search",
-    "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
-    "planning.baselines.art": "mapping planning planning.search planning.baselines",
     "planning.tracking": "hal planning",
     "rbtrg_robot": "hal hal.envelope hal.robots hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",

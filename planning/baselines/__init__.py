@@ -1,1 +1,1 @@
-"""Planners of others, for comparison: T-Hybrid (`t_hybrid`) and ART (`art`), written from their published behaviour."""
+"""Planners of others in the place of ours."""

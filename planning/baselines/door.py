@@ -1,4 +1,4 @@
-"""The door for planners of others: the project's baselines and those of users come in by the same name.
+"""The door for planners of others.
 
 A planner is a function `(grid: ElevationGrid, request: PlanRequest) -> Plan`, or the line it found as an array (n, 2)
 or (n, 3) [m]. Its name is `package.module:function`, or that of an entry point of the group `rbtrg.planners`.
@@ -10,16 +10,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.named import NamedError, named
 from mapping.grid import ElevationGrid
-from planning.baselines.route import as_plan
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.risk.terrain import Terrain, heights_at
 from planning.search import Plan, PlanRequest
 
 GROUP = "rbtrg.planners"
 OURS = "rb_trg"
-KNOWN = {"t_hybrid": "planning.baselines.t_hybrid:plan", "art": "planning.baselines.art:plan"}
 ENDS = 0.5
 """A line that begins further from the start, or ends further from the goal [m], answers another question."""
 Planner = Callable[[ElevationGrid, PlanRequest], Plan]
@@ -28,7 +28,7 @@ Planner = Callable[[ElevationGrid, PlanRequest], Plan]
 def planner_of(method: str) -> Planner:
     """The planner of a name. Raises PlanningError for one that cannot be imported."""
     try:
-        function = named(KNOWN.get(method, method), "planner", GROUP, (OURS, *KNOWN))
+        function = named(method, "planner", GROUP, (OURS,))
     except NamedError as error:
         raise PlanningError(str(error)) from error
     return lambda grid, request: _ask(method, function, grid, request)
@@ -54,3 +54,20 @@ def _ask(method: str, function: Any, grid: ElevationGrid, request: PlanRequest) 
             raise PlanningError(f"planner {method}: its line does not lead to the {what}, {tuple(place)}")  # type: ignore[arg-type]
     length = float(np.hypot(*np.diff(line[:, :2], axis=0).T).sum())
     return as_plan(grid, request, line[:, :2], length, 0)
+
+
+def as_plan(
+    grid: ElevationGrid, request: PlanRequest, xy: NDArray[np.float64], cost: float, expanded: int
+) -> Plan:
+    """A plan along the points (n, 2) [m], draped on the map. Points closer than 1 mm to the one before are left out."""
+    keep = [xy[0]]
+    for p in xy[1:]:
+        if np.hypot(*(p - keep[-1])) > 1e-3:
+            keep.append(p)
+    keep[-1] = xy[-1]
+    line = np.array(keep)
+    length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+    z = heights_at(Terrain.from_grid(grid, 0.5), line)
+    return Plan(
+        (), cost, cost, length, (), np.column_stack([line, z]), request, exact=True, expanded=expanded
+    )

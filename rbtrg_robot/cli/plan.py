@@ -39,7 +39,7 @@ def plan(
     yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
     variant: Annotated[str | None, typer.Option(help="native, edge-only, mean-only, full, refined.")] = None,
     method: Annotated[
-        str | None, typer.Option(help="rb_trg, t_hybrid, art, an installed planner, or module:function.")
+        str | None, typer.Option(help="rb_trg, an installed planner, or module:function.")
     ] = None,
     pairs: Annotated[
         Path | None, typer.Option(help="FILE with a line `X Y GOALX GOALY [GOALDEG]` per question.")

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
-from planning.risk import reference
 from planning.risk.body import BodyModel, edge_poses, moments_of, pose_features, sweep_poses
 from planning.risk.pose_sets import turn_angle
 from tests.places import needs_shared
 from tests.planning.worlds import flat, golden_world, rough
+from tools.bench.planning import reference
 
 BODY = BodyModel()
 

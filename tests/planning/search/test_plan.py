@@ -11,12 +11,12 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
-from planning.risk import reference
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.plan import DriveRules, Plan, PlanRequest, plan, plan_many
 from tests.places import needs_shared
 from tests.planning.worlds import flat, golden_world, lattice, rough
+from tools.bench.planning import reference
 
 BODY = BodyModel()
 

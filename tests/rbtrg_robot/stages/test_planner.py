@@ -376,7 +376,7 @@ def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:
 
 
 def test_a_baseline_plans_in_the_planners_place_and_its_path_is_watched() -> None:
-    stage = build(load(None, ["planner.method=t_hybrid"], scene="flat"))
+    stage = build(load(None, ["planner.method=tools.baselines.t_hybrid:plan"], scene="flat"))
     height = 0.006 * np.random.default_rng(0).standard_normal((100, 125))
     height[:60, 60:64] = 0.8
     stage.on(t.MAP_UPDATE, patch(height))

@@ -19,7 +19,11 @@ SHARED = ("native", "edge-only", "mean-only", "full", "refined")
 """Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
 OWN = ("guarded", "ours")
 """`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see `routes`."""
-BASELINES = ("t_hybrid", "art", "art-unmasked")
+BASELINES = {
+    "t_hybrid": "tools.baselines.t_hybrid:plan",
+    "art": "tools.baselines.art:plan",
+    "art-unmasked": "tools.baselines.art:unmasked",
+}
 """Planners of others between the same snapped endpoints. T-Hybrid's line is driven as it is, ART's is smoothed like the graphs'.
 `art-unmasked`: its feet may stand on unseen ground."""
 PERCEIVED = ("ours-mapped", "ours-seen")

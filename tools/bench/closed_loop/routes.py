@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from hal.robots import describe
 from hal.scenes import Scene, load_scene
-from mapping.grid import ElevationGrid
-from planning.baselines import art
 from planning.baselines.door import planner_of
 from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
@@ -28,11 +26,6 @@ from tools.bench.closed_loop.protocol import BASELINES, FACE, SHARED, SPEED
 from tools.bench.static.study import survey_grid
 
 Array = NDArray[np.float64]
-
-
-def unmasked(grid: ElevationGrid, request: PlanRequest) -> Plan:
-    """ART without the masks of its learnt cost."""
-    return art.plan(grid, request, art.ArtParams(masks=False))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +95,7 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
         try:
             if method in BASELINES or ":" in method:
                 a, b = ((float(x), float(y)) for x, y in graph.nodes[list(ends), :2])
-                planner = unmasked if method == "art-unmasked" else planner_of(method)
+                planner = planner_of(BASELINES.get(method, method))
                 found = planner(grid, PlanRequest(a, b))
             else:
                 found = plan(graph, grid, PlanRequest(*ends, variant=variant), body, table)

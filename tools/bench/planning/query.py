@@ -3,7 +3,7 @@
 Least CPU time of this thread over repeats. `query_ms` finds nothing cached: it makes the risk table and evaluates what
 it needs. `replan_ms` does the same after 2 % of the cells changed, once from nothing (its baseline) and once with the
 table from before. `sample_ns` is the time of a pose over all samples of the footprint, also those that a tile's ceiling
-made needless to look at. Baselines, from the same run, are plain numpy (`planning.risk.reference`): its time per
+made needless to look at. Baselines, from the same run, are plain numpy (`tools.bench.planning.reference`): its time per
 sample, and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of the
 states it expands.
 """
@@ -20,7 +20,6 @@ from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits
-from planning.risk import reference
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import poses_features
 from planning.risk.table import RiskTable
@@ -32,6 +31,7 @@ from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.planner import build
 from rbtrg_robot.stages.way import WaySearch
+from tools.bench.planning import reference
 from tools.bench.planning.worlds import dense_map
 from tools.bench.report import Report
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.baselines.art.contact import half_angle
+from tools.baselines.art.contact import half_angle
 
 
 @njit(cache=True)

@@ -9,16 +9,16 @@ import pytest
 
 from hal.scenes.readers import read_geometry
 from mapping.grid import ElevationGrid
-from planning.baselines.t_hybrid import PROFILES, THybridParams, assess, assess_points, plan
-from planning.baselines.t_hybrid.reeds_shepp import reeds_shepp
-from planning.baselines.t_hybrid.search import collides, distances, risk_at
-from planning.baselines.t_hybrid.smooth import smooth
-from planning.baselines.t_hybrid.terrain import BLOCKED, NO_RECORD, TRAVERSABLE
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.path import make_path
 from planning.risk.body import BodyModel
 from planning.search import PlanRequest
 from tests.places import TERRAIN, needs_shared
+from tools.baselines.t_hybrid import PROFILES, THybridParams, assess, assess_points, plan
+from tools.baselines.t_hybrid.reeds_shepp import reeds_shepp
+from tools.baselines.t_hybrid.search import collides, distances, risk_at
+from tools.baselines.t_hybrid.smooth import smooth
+from tools.baselines.t_hybrid.terrain import BLOCKED, NO_RECORD, TRAVERSABLE
 
 PAPER = PROFILES["paper"]
 

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.baselines.t_hybrid.params import THybridParams
+from tools.baselines.t_hybrid.params import THybridParams
 
 CEILING = 1.0
 """Points this far above the lowest of a window are dropped [m]."""

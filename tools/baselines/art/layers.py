@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
-from planning.baselines.art.params import ArtParams
+from tools.baselines.art.params import ArtParams
 
 Array = NDArray[np.float64]
 

@@ -7,13 +7,14 @@ import math
 import numpy as np
 
 from mapping.grid import ElevationGrid
-from planning.baselines.route import as_plan, places
-from planning.baselines.t_hybrid.params import THybridParams
-from planning.baselines.t_hybrid.search import EXHAUSTED, FOUND, HEADINGS, risk_at, search
-from planning.baselines.t_hybrid.smooth import smooth
-from planning.baselines.t_hybrid.terrain import HybridMap, assess
+from planning.baselines.door import as_plan
 from planning.errors import NoRoute, NoRouteReason
 from planning.search import Plan, PlanRequest
+from tools.baselines.route import places
+from tools.baselines.t_hybrid.params import THybridParams
+from tools.baselines.t_hybrid.search import EXHAUSTED, FOUND, HEADINGS, risk_at, search
+from tools.baselines.t_hybrid.smooth import smooth
+from tools.baselines.t_hybrid.terrain import HybridMap, assess
 
 
 def plan(

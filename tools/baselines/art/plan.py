@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.baselines.art.contact import all_valid, way_is_valid
-from planning.baselines.art.layers import Layers, density, layers
-from planning.baselines.art.params import ArtParams
-from planning.baselines.art.roadmap import cheapest, connect, seconds
-from planning.baselines.route import as_plan, places
+from planning.baselines.door import as_plan
 from planning.errors import NoRoute, NoRouteReason
 from planning.search import Plan, PlanRequest
+from tools.baselines.art.contact import all_valid, way_is_valid
+from tools.baselines.art.layers import Layers, density, layers
+from tools.baselines.art.params import ArtParams
+from tools.baselines.art.roadmap import cheapest, connect, seconds
+from tools.baselines.route import places
 
 Array = NDArray[np.float64]
 PART = 0.01
@@ -182,3 +183,8 @@ def _quaternions(yaw: Array, pitch: Array, roll: Array) -> Array:
             sy * cp * cr - cy * sp * sr,
         ]
     )
+
+
+def unmasked(grid: ElevationGrid, request: PlanRequest) -> Plan:
+    """ART without the masks of its learnt cost."""
+    return plan(grid, request, ArtParams(masks=False))

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.baselines.t_hybrid.reeds_shepp import reeds_shepp
-from planning.baselines.t_hybrid.terrain import NO_RECORD, TRAVERSABLE
+from tools.baselines.t_hybrid.reeds_shepp import reeds_shepp
+from tools.baselines.t_hybrid.terrain import NO_RECORD, TRAVERSABLE
 
 HEADINGS = 72
 STEP = 0.7068582

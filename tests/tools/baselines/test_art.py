@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.baselines.art import ArtParams, plan
-from planning.baselines.art.contact import half_angle, rotation_of, touches, valid, way_is_valid
-from planning.baselines.art.layers import closed, density, dilated, eroded, layers, least, most, normals
-from planning.baselines.art.plan import _quaternions
-from planning.baselines.art.roadmap import cheapest, connect, seconds, yaw_of
 from planning.errors import NoRoute, NoRouteReason
 from planning.search import PlanRequest
+from tools.baselines.art import ArtParams, plan
+from tools.baselines.art.contact import half_angle, rotation_of, touches, valid, way_is_valid
+from tools.baselines.art.layers import closed, density, dilated, eroded, layers, least, most, normals
+from tools.baselines.art.plan import _quaternions
+from tools.baselines.art.roadmap import cheapest, connect, seconds, yaw_of
 
 RES = 0.05
 QUICK = ArtParams(milestones=400, batch=200)

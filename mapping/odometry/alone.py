@@ -26,7 +26,7 @@ from mapping.odometry.own import OwnFilter, OwnPart
 from mapping.odometry.registration.engines import MAP_VOXEL, quality
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
-from mapping.odometry.startup import WINDOW, Startup, start
+from mapping.odometry.startup import WINDOW, Before, Startup, start
 from mapping.odometry.types import OdometryConfig, ScanOdometry
 from mapping.odometry.wheels import velocities
 
@@ -92,7 +92,7 @@ class LidarAlone:
             sweep = clean_scan(scan, p.min_range, ALONE_RANGE, p.max_points, self.counters)
             self._sweeps.extend([self._own.take_out(sweep, self.counters)] if sweep is not None else [])
 
-    def resume(self, _pose: Array, _cloud: NDArray[np.float32]) -> None:
+    def resume(self, _before: Before) -> None:
         """A log is not resumed: its first scan is the start."""
 
     def poll(self) -> list[ScanOdometry]:
@@ -195,7 +195,7 @@ class WheelsAlone:
     def add_scan(self, _scan: LidarScan) -> None:
         """Not used."""
 
-    def resume(self, _pose: Array, _cloud: NDArray[np.float32]) -> None:
+    def resume(self, _before: Before) -> None:
         """A log is not resumed."""
 
     def poll(self) -> list[ScanOdometry]:

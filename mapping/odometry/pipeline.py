@@ -136,13 +136,12 @@ class LidarInertialOdometry:
         """Take a scan; `poll` processes it."""
         self._inbox.take_scan(scan)
 
-    def resume(self, pose: Array, cloud: NDArray[np.float32]) -> None:
-        """Call before the first sample to continue another odometry: its last `pose` (4, 4) `odom` <- base_link, and
-        the `cloud` (n, 3) [m], base_link, that was seen there.
+    def resume(self, before: Before) -> None:
+        """Call before the first sample to continue another odometry from its last pose.
 
         The first scan is registered to that cloud, so neither pose nor map jumps by what the robot coasted meanwhile.
         A robot that was carried further than registration reaches becomes `lost`."""
-        self._before = Before(pose, np.ascontiguousarray(cloud, np.float32))
+        self._before = before
 
     def poll(self) -> list[ScanOdometry]:
         """Scans whose IMU and joint data have arrived, processed in order; a second without any scan also reports."""
@@ -309,7 +308,7 @@ class LidarInertialOdometry:
         joints = joints if self.params.use_joints else joints[:0]
         start(self._filter, sweep.end, imu_stamp, imu, joint_stamp, joints, self._wheel_noise)
         if self._before is not None:
-            put_at(self._filter, self._before.pose)
+            put_at(self._filter, self._before)
             self._engine.take(self._before.cloud)
             self._engine.insert(self._before.pose, settled=True)
             self._witness.look(self._engine.frame, self._before.pose)

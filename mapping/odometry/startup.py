@@ -22,7 +22,10 @@ SWAY = 0.005
 WINDOW = NS * 7 // 10
 """Samples that are looked at [ns]."""
 MOVED, TURNED = 0.3, 0.2
-"""Distance and turn of a robot that nobody watched, one standard deviation [m, rad]."""
+"""Distance and turn of a robot that nobody watched for long, one standard deviation [m, rad]."""
+SWAYED, COASTED, PUSHED = 0.02, 0.4, 0.05
+"""For a moment alone it sways [m, rad], coasts for a while [s], and is pushed [m/s, rad/s]: without a pose the gate holds
+it. On open ground scans tell the place worse than that."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +36,20 @@ class Before:
     """(4, 4) `odom` <- base_link."""
     cloud: NDArray[np.float32]
     """(n, 3) base_link [m]."""
+    stamp: int
+    """Of the pose [ns]."""
+    speed: float
+    """[m/s] then,"""
+    rate: float
+    """and [rad/s]."""
+
+    def moved(self, end: int) -> tuple[float, float]:
+        """Distance and turn until `end` [ns], one standard deviation [m, rad]."""
+        gone = (end - self.stamp) / NS
+        if gone < 0.0:  # the clock was set
+            return MOVED, TURNED
+        alone = SWAYED + PUSHED * gone
+        return min(MOVED, alone + COASTED * self.speed), min(TURNED, alone + COASTED * self.rate)
 
 
 class Startup:
@@ -78,16 +95,16 @@ def start(
     state.start(end, _unrotated(imu_stamp, imu, end, level), level, velocity, height)
 
 
-def put_at(state: InertialFilter, pose: Array) -> None:
-    """Move a filter that was just started to place and heading of `pose` (4, 4); it may be `MOVED` and `TURNED` off."""
-    now = state.pose()
+def put_at(state: InertialFilter, before: Before) -> None:
+    """Move a filter that was just started to place and heading of `before`, with room for what the robot moved since."""
+    pose, now = before.pose, state.pose()
     yaw = math.atan2(pose[1, 0], pose[0, 0]) - math.atan2(now[1, 0], now[0, 0])
     c, s = math.cos(yaw), math.sin(yaw)
     heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     about_z(state.x[6:10], yaw)
     state.x[3:6] = heading @ state.x[3:6]
     state.x[:3] = pose[:3, 3] + rotation(state.x[6:10]) @ state.lever
-    state.misplaced(MOVED, TURNED)
+    state.misplaced(*before.moved(state.stamp))
 
 
 def resting(imu: Array) -> bool:

@@ -15,7 +15,6 @@ from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.heart import Heart
 
-
 SHOWN = 500_000_000
 """[ns] between two messages that are made for listeners alone."""
 

@@ -17,6 +17,7 @@ from mapping.elevation.poses import checked_pose
 from mapping.grid import FARTHEST
 from mapping.odometry.alone import ALONE, LidarAlone, WheelsAlone
 from mapping.odometry.pipeline import LidarInertialOdometry
+from mapping.odometry.startup import Before
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
 from rbtrg_robot import msg
@@ -94,9 +95,8 @@ class OdometryStage:
         self._lidars = lidars
         self._sweeps = {t.SWEEPS[name]: name for name in names}
         self._imu = imu
-        self._before: msg.Pose | None = None
+        self._before: msg.Odometry | None = None
         """Where the robot was before this process was restarted: the new odometry goes on from there."""
-        self._before_stamp = 0
         self._shift = MapFrame()
         self._announced = False
         self._odom: msg.Odometry | None = None
@@ -140,25 +140,28 @@ class OdometryStage:
                     self._start = (known.x, known.y, known.yaw)
             elif t.ODOM.carried(message, topic):
                 checked_pose(xyz(message.pose.pose.position), xyzw(message.pose.pose.orientation))
-                self._before, self._before_stamp = message.pose.pose, stamp_of(message)
+                self._before = message
             elif t.CLOUD.carried(message, topic):
                 self._resume(message)
         except (LayoutError, MapError):
             self._malformed += 1
         for scan in self._odometry.poll():
             if self._before is not None:
-                self._continue_from(self._before, scan)
+                self._continue_from(self._before.pose.pose, scan)
                 self._before = None
             outputs += self._scan(scan)
         return outputs
 
     def _resume(self, cloud: msg.PointCloud2) -> None:
         """The cloud of the last pose places the first scan; without it the distance that the robot coasted is lost."""
-        if self._before is None or stamp_of(cloud) != self._before_stamp:
+        before = self._before
+        if before is None or (stamp := stamp_of(before)) != stamp_of(cloud):
             return
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = checked_pose(xyz(self._before.position), xyzw(self._before.orientation))
-        self._odometry.resume(pose, cloud_points(cloud))
+        at, twist, pose = before.pose.pose, before.twist.twist, np.eye(4)
+        pose[:3, :3], pose[:3, 3] = checked_pose(xyz(at.position), xyzw(at.orientation))
+        points = np.ascontiguousarray(cloud_points(cloud), np.float32)
+        speed, rate = math.dist(xyz(twist.linear), (0.0, 0.0, 0.0)), abs(twist.angular.z)
+        self._odometry.resume(Before(pose, points, stamp, speed, rate))
         self._before = None
 
     def _continue_from(self, before: msg.Pose, scan: ScanOdometry) -> None:

@@ -39,7 +39,9 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--places", nargs=2, default=["a", "b"], help="named goals of the scene")
     parser.add_argument("--people", type=int, default=0, help="who walk past the robot; on level ground")
     options = parser.parse_args(args)
-    config = load(None, [COARSE, FRESH, f"sim.people={options.people}"], scene=options.scene, seed=options.seed)
+    config = load(
+        None, [COARSE, FRESH, f"sim.people={options.people}"], scene=options.scene, seed=options.seed
+    )
     goals = config.load_scene().goals
     places = [goals[name][:2] for name in options.places]
     report = Report("soak")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
 from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
+from mapping.odometry.startup import Before
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
 from tools.synthetic import SyntheticRun, arena_run
@@ -366,6 +368,20 @@ def test_a_robot_unheard_for_long_is_found_where_it_may_have_coasted_and_nowhere
         assert "bring it back" in seen[-1].reason
 
 
+def test_a_robot_that_nobody_watched_for_a_moment_is_near_where_it_was() -> None:
+    """It was taken to be up to 0.3 m off: on open ground, where scans tell the place no better, it was put 0.12 m beside
+    it in two of twenty restarts."""
+    last = Before(np.eye(4), np.zeros((0, 3), np.float32), 5 * NS, 0.0, 0.0)
+    assert last.moved(6 * NS) == pytest.approx((0.07, 0.07))
+    assert replace(last, speed=0.5, rate=0.2).moved(6 * NS) == pytest.approx((0.27, 0.15))
+    assert (
+        replace(last, speed=math.nan).moved(60 * NS)
+        == last.moved(60 * NS)
+        == last.moved(4 * NS)
+        == (0.3, 0.2)
+    )
+
+
 @pytest.mark.parametrize(("moved", "found"), [(0.15, True), (1.5, True), (4.0, False)])
 def test_a_second_odometry_goes_on_from_the_last_scan_of_the_first(
     recorded: tuple[SyntheticRun, list[Sample]], driven: Driven, moved: float, found: bool
@@ -382,7 +398,7 @@ def test_a_second_odometry_goes_on_from_the_last_scan_of_the_first(
         run, motion=Motion(kind="standstill", start=start), start_stamp=end + 3 * NS, duration=2.0
     )
     second = Driven([])
-    second.odometry.resume(matrix(last), last.cloud)
+    second.odometry.resume(Before(matrix(last), last.cloud, last.stamp, 0.0, 0.0))
     second.feed([s for s in there.samples() if not isinstance(s, GroundTruth)])
     final = second.scans[-1]
     if not found:

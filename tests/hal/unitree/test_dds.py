@@ -115,7 +115,9 @@ def test_close_leaves_no_process_and_lets_the_domain_be_opened_again(
     again.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, signal.SIGSTOP, pytest.param(signal.SIGINT, marks=pytest.mark.campaign)]
+)
 def test_the_robot_of_a_host_that_dies_or_hangs_is_stopped_before_its_own_hold_runs_out(
     peer: PeerProcess, domain: int, number: signal.Signals
 ):
@@ -214,6 +216,7 @@ def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(doma
         back.end()
 
 
+@pytest.mark.campaign
 def test_two_robots_on_one_domain_are_both_named_and_neither_is_driven(domain: int):
     peers = [PeerProcess(domain + 150, "--fault", f"serial={serial}") for serial in (11, 22)]
     backend = make_backend("lo", options=UnitreeConfig(domain=domain + 150, sit_on_close=False))
@@ -226,6 +229,7 @@ def test_two_robots_on_one_domain_are_both_named_and_neither_is_driven(domain: i
             peer.end()
 
 
+@pytest.mark.campaign
 def test_a_robot_that_says_yes_and_rolls_on_is_made_soft_by_the_guardian_alone(domain: int):
     peer = PeerProcess(domain + 160, "--fault", "rolls=1")
     host = subprocess.Popen(
@@ -246,6 +250,7 @@ def test_a_robot_that_says_yes_and_rolls_on_is_made_soft_by_the_guardian_alone(d
     assert not alive
 
 
+@pytest.mark.campaign
 def test_a_stop_is_a_stop_move(backend: UnitreeBackend, peer: PeerProcess):
     until(backend, Phase.MOVING, vx=0.5)
     run(backend, 1.0, vx=0.5)

@@ -54,7 +54,14 @@ def test_the_way_through_an_unseen_maze_is_at_most_twice_the_known_one(
     assert min(ratios) > 0.9, "shorter than the way on the full map: something was crossed"
 
 
-@pytest.mark.parametrize(("pitch", "blind", "seed"), [(1.7, RING, 0), (1.1, 0.0, 2), (1.4, 0.0, 3)])
+@pytest.mark.parametrize(
+    ("pitch", "blind", "seed"),
+    [
+        (1.7, RING, 0),
+        pytest.param(1.1, 0.0, 2, marks=pytest.mark.campaign),
+        pytest.param(1.4, 0.0, 3, marks=pytest.mark.campaign),
+    ],
+)
 def test_a_goal_walled_in_ends_in_no_route_once_all_is_seen(pitch: float, blind: float, seed: int) -> None:
     world = maze(seed, 4, pitch, closed=True)
     run = explore(world, blind)
@@ -80,7 +87,9 @@ def test_between_two_equal_ways_it_makes_up_its_mind() -> None:
     assert (np.sign(side[np.abs(side) > 0.2]) == np.sign(side[np.argmax(np.abs(side))])).all()
 
 
-@pytest.mark.parametrize("seed", [1, 4])  # without `previous_frontier` both swing
+@pytest.mark.parametrize(
+    "seed", [1, pytest.param(4, marks=pytest.mark.campaign)]
+)  # without `previous_frontier` both swing
 def test_a_frontier_given_up_on_the_way_is_not_taken_up_again(seed: int) -> None:
     run = explore(maze(seed, 5, 1.7), every=0.3)
     assert run.end == "reached"

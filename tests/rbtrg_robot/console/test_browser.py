@@ -917,7 +917,7 @@ def test_the_body_on_the_arc_is_scored_as_the_planner_scores_it(visit: Callable[
 PIXEL = """([x, y]) => [...document.querySelector('#video-picture').getContext('2d').getImageData(x, y, 1, 1).data]"""
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE])
+@pytest.mark.parametrize("size", [DESK, pytest.param(PHONE, marks=pytest.mark.campaign)])
 def test_the_camera_is_shown_with_the_route_in_it_and_kept_as_a_photo(
     visit: Callable[..., Page], robot: Robot, size: Any
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
@@ -15,6 +16,7 @@ EDGE = 2.1
 """Distance from the start to the edge, straight ahead [m]."""
 
 
+@pytest.mark.campaign
 def test_a_goal_beyond_a_cliff_does_not_lead_over_it(tmp_path: Path) -> None:
     axis = np.arange(201) * 0.05 - 5.0
     x, y = np.meshgrid(axis, axis)

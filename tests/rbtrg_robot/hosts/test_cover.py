@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
+import pytest
+
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -15,6 +17,7 @@ from tests.rbtrg_robot.hosts.test_mission import Run
 SWATH = 0.6
 
 
+@pytest.mark.campaign
 def test_lanes_are_driven_once_although_the_mission_process_dies_on_the_way() -> None:
     with Lockstep(load(None, ["sim.lidar_step=8"], scene="flat")) as stack:
         stack.wait_ready()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from tools.bench.explore.driven import Explored
 
 
+@pytest.mark.campaign
 def test_an_area_is_seen_and_the_robot_is_home() -> None:
     with Lockstep(load(None, ["sim.lidar_step=4"], scene="flat")) as stack:
         stack.wait_ready()

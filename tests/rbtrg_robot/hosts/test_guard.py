@@ -82,7 +82,7 @@ def test_what_steps_before_a_driving_robot_is_not_touched_though_the_planner_is_
         assert speed(stack) < 0.05
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("way", [1.0, pytest.param(-1.0, marks=pytest.mark.campaign)])
 def test_nobody_drives_it_into_a_wall_by_hand(way: float) -> None:
     xs = (1.2, 1.5) if way > 0.0 else (-1.5, -1.2)
     near = (xs, (-2.0, 2.0))
@@ -96,6 +96,7 @@ def test_nobody_drives_it_into_a_wall_by_hand(way: float) -> None:
         assert closest > 0.0, "its corners do not touch when it turns there either"
 
 
+@pytest.mark.campaign
 def test_beside_a_wall_it_is_driven_along_it_by_hand_both_ways(tmp_path: Path) -> None:
     """Its side is 2 cm off, less than the map tells: cells of the wall lie in its body, some of them ahead, some
     behind."""

@@ -133,7 +133,8 @@ def test_a_robot_whose_head_lidar_never_spoke_does_not_drive_into_a_pit_before_i
         assert made.newest[t.ROBOT_STATE].phase == "ready"
 
 
-@pytest.mark.parametrize("creep", [0.0, pytest.param(0.1, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("creep", [0.0, 0.1])
 def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_it(
     creep: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -233,6 +233,7 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
     assert frames.keys() >= steady, steady - frames.keys()
 
 
+@pytest.mark.campaign
 def test_the_robot_brakes_for_what_suddenly_stands_before_it_and_drives_around() -> None:
     # It stands 0.25 m above what the model-based controller climbs, 0.1 m above what the default climbs: that one sees it a sweep later
     # and need not stop.

@@ -49,7 +49,9 @@ def test_it_drives_when_the_trunk_is_level_again(looking: Lockstep) -> None:
     assert math.dist(_place(looking), place) < 0.05
 
 
-@pytest.mark.parametrize("trouble", ["stop", "tracker", "navigator"])
+@pytest.mark.parametrize(
+    "trouble", ["stop", "tracker", pytest.param("navigator", marks=pytest.mark.campaign)]
+)
 def test_the_trunk_is_level_after_a_stop_or_the_death_of_a_commander(looking: Lockstep, trouble: str) -> None:
     if trouble == "stop":
         looking.command("stop")

@@ -109,6 +109,7 @@ def test_the_mission_can_be_run_again_from_the_log(log: Path, tmp_path: Path) ->
     assert [s.phase for s in again].count("paused") >= 1
 
 
+@pytest.mark.campaign
 def test_without_an_operator_in_contact_the_robot_stands_or_drives_home() -> None:
     with Lockstep(load(None, ["sim.lidar_step=8"], scene="flat")) as stack:
         stack.wait_ready()

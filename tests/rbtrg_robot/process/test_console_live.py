@@ -79,6 +79,7 @@ def figure(page: Page, name: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", row)]
 
 
+@pytest.mark.campaign
 def test_a_press_on_the_ground_moves_the_robot_and_stop_makes_it_stand(address: str) -> None:
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 800, "height": 600}, reduced_motion="reduce")

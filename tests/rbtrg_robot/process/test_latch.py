@@ -91,7 +91,8 @@ def test_stop_and_mission_are_still_there_after_the_supervisor_was_killed(
     supervisor = psutil.Process(robot.status()["pid"])
     family = supervisor.children(recursive=True)
     supervisor.send_signal(signal.SIGKILL)
-    psutil.wait_procs([supervisor, *family], timeout=20.0)
+    _gone, alive = psutil.wait_procs([supervisor, *family], timeout=20.0)
+    assert not alive, "nothing outlives it"
     assert kept(tmp_path) == {".estop", ".mission"}
     said = robot.up()
     assert "still latched" in said

@@ -1,4 +1,4 @@
-"""One real `up`: processes, signals, kills. Slow, so everything is asked of two runs."""
+"""One real `up`: processes, signals, kills. Slow, so nearly everything is asked of one run."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def stack(tmp_path: Path) -> Iterator[Stack]:
     made.run("down")
 
 
-def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
+def test_up_goal_kill_stop_down(stack: Stack) -> None:
     up = stack.up()
     assert up.returncode == 0, up.stderr
     assert "ready" in up.stdout
@@ -144,29 +144,6 @@ def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
         assert watch.goal == "reached"
         assert math.dist(watch.place, (x + 2.0, y)) < 0.25
 
-        # A ROS 2 client that is not ours reads the robot's topics and drives it.
-        definitions = write_definitions(tmp_path / "msg")
-        client = subprocess.run(
-            client_command(stack.port, definitions, x + 2.8, y),
-            env={**os.environ, "HOME": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            timeout=90,
-            check=True,
-        )
-        found = json.loads(client.stdout.splitlines()[-1])
-        assert set(found["topics"]) >= {
-            "/odom",
-            "/imu/data",
-            "/lidar/main/points",
-            "/tf_static",
-            "/plan/path",
-        }
-        assert found["got"]["/imu/data"] == pytest.approx(9.81, abs=3.0)
-        assert found["got"]["/lidar/main/points"][0] > 1000
-        assert "lidar_main" in found["got"]["/tf_static"]
-        assert found["got"]["/plan/path"] > 1
-        watch.until(lambda: math.dist(watch.place, (x + 2.8, y)) < 0.25, 120.0)
     assert stack.processes()["tracker"]["restarts"] == 1
 
     rate = stack.run("topic", "hz", "/odom", "--seconds", "1")
@@ -223,6 +200,39 @@ def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
         assert counts[name] > 0, name
 
 
+@pytest.mark.campaign
+def test_a_ros_2_client_that_is_not_ours_reads_the_robot_and_drives_it(stack: Stack, tmp_path: Path) -> None:
+    up = stack.up()
+    assert up.returncode == 0, up.stderr
+    with stack.bus() as bus:
+        watch = Observer(bus)
+        watch.until(lambda: watch.stamp > 0, 10.0)
+        x, y = watch.place
+        definitions = write_definitions(tmp_path / "msg")
+        client = subprocess.run(
+            client_command(stack.port, definitions, x + 0.8, y),
+            env={**os.environ, "HOME": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=90,
+            check=True,
+        )
+        found = json.loads(client.stdout.splitlines()[-1])
+        assert set(found["topics"]) >= {
+            "/odom",
+            "/imu/data",
+            "/lidar/main/points",
+            "/tf_static",
+            "/plan/path",
+        }
+        assert found["got"]["/imu/data"] == pytest.approx(9.81, abs=3.0)
+        assert found["got"]["/lidar/main/points"][0] > 1000
+        assert "lidar_main" in found["got"]["/tf_static"]
+        assert found["got"]["/plan/path"] > 1
+        watch.until(lambda: math.dist(watch.place, (x + 0.8, y)) < 0.25, 120.0)
+
+
+@pytest.mark.campaign
 def test_when_up_is_killed_nothing_survives_it_and_the_log_does(stack: Stack) -> None:
     up = stack.up(
         "planner", "elevation", "camera", "mission"

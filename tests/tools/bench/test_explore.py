@@ -12,7 +12,7 @@ from tools.bench.explore.drawn import Walk
 from tools.bench.explore.sites import SITES, site
 
 
-@pytest.mark.parametrize("greedy", [False, True])
+@pytest.mark.parametrize("greedy", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_small_site_is_seen_whole_and_the_robot_is_home(greedy: bool) -> None:
     record = Walk(site("rooms", 0, 8.0), greedy=greedy).explore()
     assert record["share"] > 0.97

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tools.bench import foreign
 
 
@@ -30,6 +32,7 @@ def test_the_table_counts_what_was_reached_and_what_was_refused_in_time() -> Non
     assert rows["foreign.hybrid.seen.moat.in_time"] == 1 / 3, "30 m are not too far where 23 m are looked at"
 
 
+@pytest.mark.campaign
 def test_building_stairs_are_driven_down_with_a_map() -> None:
     report = foreign.run(["--kinds", "stairs_17_28_down", "--seeds", "0", "--map", "prior", "--workers", "0"])
     rows = {r.key.rpartition(".")[2]: r.value for r in report.rows}

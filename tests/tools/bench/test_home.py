@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from tools.bench.home import Record, Trial, drive, table
 
 
+@pytest.mark.campaign
 def test_a_battery_that_runs_low_on_the_way_to_a_goal_brings_the_robot_home() -> None:
     record = drive(Trial("battery/goal", "flat/a", 0))
     assert record.ok, record.words

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tools.bench.loops import run
 
 
+@pytest.mark.campaign
 def test_a_short_round_closes_and_nothing_else_does() -> None:
     report = run(["--only", "ring", "--scale", "0.5"])
     rows = {row.key: row.value for row in report.rows}

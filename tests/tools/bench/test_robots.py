@@ -10,6 +10,7 @@ from tools.bench import barn, robots
 from tools.bench.lanes.trial import Trial, drive
 
 
+@pytest.mark.campaign
 def test_a_robot_on_four_fixed_wheels_reaches_a_goal_of_the_yard() -> None:
     record = drive(Trial(0, 0, "jackal/drive", "seen", goal="yard/a"))
     assert record["outcome"] == "reached"

@@ -312,6 +312,7 @@ def test_it_drives_though_messages_are_lost_and_late() -> None:
     assert world.phase is Phase.MOVING
 
 
+@pytest.mark.campaign
 def test_the_hybrid_controller_climbs_a_step_of_15_cm() -> None:
     height = np.zeros((121, 241), np.float32)
     height[:, 140:] = 0.15

@@ -297,7 +297,9 @@ def test_detached_it_waits_for_the_robot_it_started_wherever_that_is_named(tmp_p
     assert down.returncode == 0, down.stderr
 
 
-@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "ended_by", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.campaign)]
+)
 def test_a_stack_that_is_not_ready_yet_ends_with_the_command_that_began_it(
     tmp_path: Path, ended_by: signal.Signals
 ) -> None:

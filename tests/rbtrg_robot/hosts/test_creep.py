@@ -120,6 +120,7 @@ def test_at_an_edge_that_nobody_saw_it_stops_and_tells_of_it(
     assert furthest < DARK[0] + 0.2
 
 
+@pytest.mark.campaign
 def test_who_does_not_feel_edges_does_not_creep_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     own = Robot.capabilities
     monkeypatch.setattr(Robot, "capabilities", lambda self, name: replace(own(self, name), creep=0.0))

@@ -202,6 +202,7 @@ def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> N
         assert made.newest[t.ROBOT_STATE].hold == ""
 
 
+@pytest.mark.campaign
 def test_over_kerbs_in_a_narrow_lane_odometry_keeps_its_height(monkeypatch: pytest.MonkeyPatch) -> None:
     """The main LiDAR sees little ground there, and a wheel that climbs a face tells a velocity that it does not have."""
     scene = lane(plate)

@@ -312,7 +312,9 @@ def test_with_our_policy_it_climbs_what_the_model_based_one_does_not(name: str) 
     assert all(drive(hybrid, name, run).passed for run in range(2))
 
 
-@pytest.mark.parametrize(("angle", "friction"), [(0.0, 0.6), (0.7, 1.0)])
+@pytest.mark.parametrize(
+    ("angle", "friction"), [(0.0, 0.6), pytest.param(0.7, 1.0, marks=pytest.mark.campaign)]
+)
 def test_creeping_it_feels_edges_as_the_model_based_controller_does(angle: float, friction: float) -> None:
     hybrid = HybridController(OURS)
     assert creep_to_edge(hybrid, 0.1, angle, friction)

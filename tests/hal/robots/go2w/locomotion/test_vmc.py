@@ -32,7 +32,7 @@ from tools.bench.envelope.trial import Conditions, drive
 from tools.bench.envelope.turning import CURVES, CURVING, turn_on_bar, turn_on_ramp
 
 
-def campaign(*values: float) -> Any:
+def campaign(*values: float | str) -> Any:
     """Another case of the same, for long runs."""
     return pytest.param(*values, marks=pytest.mark.campaign)
 
@@ -214,7 +214,7 @@ def test_a_slipping_wheel_s_friction_is_learnt_and_bounds_it() -> None:
     assert (memory["grip"] <= 1.3 * memory["friction"] * load * go2w.WHEEL_RADIUS + 0.3).all()
 
 
-@pytest.mark.parametrize(("course", "run"), [("step_up_5", 0), ("step_up_10", 1)])
+@pytest.mark.parametrize(("course", "run"), [("step_up_5", 0), campaign("step_up_10", 1)])
 def test_steps_are_climbed_slowly_too(course: str, run: int) -> None:
     # The wheels of one side spun while the turn integral starved those of the other: nothing looked blocked.
     assert drive(VmcController(), course, run, Conditions(speed=0.15)).passed
@@ -378,7 +378,7 @@ def test_masters_the_course(course: str, run: int) -> None:
 
 @pytest.mark.parametrize(
     ("speed", "angle", "friction"),
-    [campaign(0.1, 0.0, 0.6), campaign(0.06, 0.0, 0.4), (0.1, 0.7, 1.0), (-0.1, 0.3, 0.8)],
+    [campaign(0.1, 0.0, 0.6), campaign(0.06, 0.0, 0.4), campaign(0.1, 0.7, 1.0), (-0.1, 0.3, 0.8)],
 )
 def test_creeping_it_stops_at_a_cliff(speed: float, angle: float, friction: float) -> None:
     controller = VmcController()
@@ -389,7 +389,7 @@ def test_creeping_it_stops_at_a_cliff(speed: float, angle: float, friction: floa
     )
 
 
-@pytest.mark.parametrize(("course", "speed"), [("ramp_down_15", 0.1), ("step_down_10", 0.15)])
+@pytest.mark.parametrize(("course", "speed"), [campaign("ramp_down_15", 0.1), ("step_down_10", 0.15)])
 def test_what_is_no_cliff_does_not_stop_it(course: str, speed: float) -> None:
     controller = VmcController()
     assert drive(controller, course, 1, Conditions(speed=speed)).reason == "passed"

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.raster import cell_of
 from hal.safety.swept import NOISE, Body, Stand, Surroundings
 from hal.types import Capabilities
 
@@ -110,7 +111,7 @@ def ends_clear_of(
     front, left = length + NEAR, width + NEAR
     back, right = front, left
     reach = math.ceil(math.hypot(front, left) / resolution)
-    col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
+    col, row = cell_of(x, x0, resolution), cell_of(y, y0, resolution)
     # First what lies at one side alone: what lies at a corner may belong to either.
     for corners in range(2):
         for r in range(max(0, row - reach), min(rows, row + reach + 1)):

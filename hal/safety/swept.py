@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.raster import cell_of
 from hal.types import Array, Capabilities
 
 SPACING = 0.02
@@ -252,8 +253,8 @@ def first_leaf(tracks, source, x0, y0, resolution, x, y, yaw):  # pragma: no cov
     for k in range(tracks.shape[0]):
         for i in range(first):
             u, v = tracks[k, i, 0], tracks[k, i, 1]
-            col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
-            row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
+            col = cell_of(x + c * u - s * v, x0, resolution)
+            row = cell_of(y + s * u + c * v, y0, resolution)
             if 0 <= row < rows and 0 <= col < cols and source[row, col] == PLANTS:
                 first = i
                 break
@@ -269,7 +270,7 @@ def height_under(
     rows, cols = height.shape
     c, s = math.cos(yaw), math.sin(yaw)
     reach = math.ceil(math.hypot(length, width) / resolution)
-    col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
+    col, row = cell_of(x, x0, resolution), cell_of(y, y0, resolution)
     known = np.empty((2 * reach + 1) ** 2)
     n = 0
     for r in range(max(0, row - reach), min(rows, row + reach + 1)):
@@ -325,8 +326,8 @@ def nearest_obstacle(
         for k in range(count):
             for i in range(samples):
                 u, v = tracks[layer, k, i, 0], tracks[layer, k, i, 1]
-                col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
-                row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
+                col = cell_of(x + c * u - s * v, x0, resolution)
+                row = cell_of(y + s * u + c * v, y0, resolution)
                 ground[i], low[i], busy[i], felt[i], wide[i] = np.nan, False, False, False, False
                 if 0 <= row < rows and 0 <= col < cols:
                     ground[i] = height[row, col]
@@ -432,8 +433,8 @@ def occupy(points, ground, x0, y0, resolution, lowest, highest, least, out):  # 
     rows, cols = ground.shape
     count = np.zeros((rows, cols), np.int32)
     for i in range(points.shape[0]):
-        col = math.floor((points[i, 0] - x0) / resolution + 0.5)
-        row = math.floor((points[i, 1] - y0) / resolution + 0.5)
+        col = cell_of(points[i, 0], x0, resolution)
+        row = cell_of(points[i, 1], y0, resolution)
         if 0 <= row < rows and 0 <= col < cols:
             above = points[i, 2] - ground[row, col]
             if lowest[row, col] < above < highest:

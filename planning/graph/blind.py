@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cell_of
 from planning.graph.flags import ASSUMED, FACE, UNSEEN, UNSEEN_RAW
 
 
@@ -31,8 +32,8 @@ def assume_blind(flags, x0, y0, res, x, y, radius):
         dx = 0.5 * res * math.cos(2.0 * math.pi * a / rays)
         dy = 0.5 * res * math.sin(2.0 * math.pi * a / rays)
         for s in range(steps + 1):
-            c = math.floor((x + s * dx - x0) / res + 0.5)
-            r = math.floor((y + s * dy - y0) / res + 0.5)
+            c = cell_of(x + s * dx, x0, res)
+            r = cell_of(y + s * dy, y0, res)
             if r < r0 or c < c0 or r >= r1 or c >= c1 or flags[r, c] & FACE:
                 break
             sight[r - r0, c - c0] = True

@@ -8,16 +8,18 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cell_of
 from planning.graph.edge_price import EVEN_TAN
+from planning.graph.edge_risk import select
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import BASE, FACE, HIGH, LOW, UNSEEN
 from planning.graph.nodes import step_distance2
 from planning.graph.prices import angle_at, size_at
-from planning.graph.risk import select
 
 RAYS = 16
 HEADINGS = 36
 """Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
+HEADING_STEP = math.pi / HEADINGS
 COS = np.array([math.cos(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
@@ -47,8 +49,8 @@ def open_frontier(flags, x0, y0, res, x, y, ring):
         for s in range(1, n + 1):
             px = x + s * dx
             py = y + s * dy
-            c = math.floor((px - x0) / res + 0.5)
-            r = math.floor((py - y0) / res + 0.5)
+            c = cell_of(px, x0, res)
+            r = cell_of(py, y0, res)
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 run = need
                 break
@@ -108,10 +110,9 @@ def turn_is_free(headings, yaw_in, turn):
     """
     if headings & ALL_HEADINGS == ALL_HEADINGS:
         return True
-    step = math.pi / HEADINGS
     low = min(yaw_in, yaw_in + turn)
     high = max(yaw_in, yaw_in + turn)
-    for k in range(math.floor(low / step) + 1, math.ceil(high / step)):
+    for k in range(math.floor(low / HEADING_STEP) + 1, math.ceil(high / HEADING_STEP)):
         if not headings >> np.uint64(k % HEADINGS) & np.uint64(1):
             return False
     return True
@@ -130,8 +131,8 @@ def turn_ground(height, trusted, x0, y0, res, x, y, climbed):
     base = round(BASE / (stride * res))
     n = math.ceil((WHEEL_RING[1] + 0.5 * BASE) / (stride * res))
     half = round(0.02 / res)
-    r_mid = math.floor((y - y0) / res + 0.5)
-    c_mid = math.floor((x - x0) / res + 0.5)
+    r_mid = cell_of(y, y0, res)
+    c_mid = cell_of(x, x0, res)
     side = 2 * n + 1
     mean = np.full((side, side), np.nan)
     inner = (WHEEL_RING[0] / (stride * res)) ** 2
@@ -207,8 +208,8 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
         n = max(1, math.ceil(2.0 * d / res))
         sides = 0
         for s in range(n + 1):
-            c_mid = math.floor((xa + (xb - xa) * s / n - x0) / res + 0.5)
-            r_mid = math.floor((ya + (yb - ya) * s / n - y0) / res + 0.5)
+            c_mid = cell_of(xa + (xb - xa) * s / n, x0, res)
+            r_mid = cell_of(ya + (yb - ya) * s / n, y0, res)
             for r in range(max(0, r_mid - 1), min(rows, r_mid + 2)):
                 for c in range(max(0, c_mid - 1), min(cols, c_mid + 2)):
                     sides |= flags[r, c] & FACE

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cell_of
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import BASE, FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.prices import LONGEST_TREAD, SIZE_STEP, SIZES, angle_at, size_at, tread_at
@@ -71,8 +72,8 @@ def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, g
     highest_post = 0
     in_field = hole = found = holes = 0
     for k in range(-beyond, n + beyond + 2):
-        c = math.floor((xw + k * step * ux - x0) / res + 0.5)
-        r = math.floor((yw + k * step * uy - y0) / res + 0.5)
+        c = cell_of(xw + k * step * ux, x0, res)
+        r = cell_of(yw + k * step * uy, y0, res)
         now, over, z = NO_SIGN, False, 0.0
         if 0 <= r < rows and 0 <= c < cols and k <= n + beyond:
             flag = flags[r, c]
@@ -172,8 +173,8 @@ def _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size):
     """Height [m] of the face that a wheel crosses there, where the ground under its track rises or falls by `size` [m],
     and the angle [rad] between its way and the face's normal. A height of 0: the place is off the map."""
     rows, cols, _ = faces.shape
-    c = math.floor((xw + middle * step * ux - x0) / res + 0.5)
-    r = math.floor((yw + middle * step * uy - y0) / res + 0.5)
+    c = cell_of(xw + middle * step * ux, x0, res)
+    r = cell_of(yw + middle * step * uy, y0, res)
     if not (0 <= r < rows and 0 <= c < cols):
         return 0.0, 0.0
     size = min(size, 0.001 * max(abs(faces[r, c, 0]), abs(faces[r, c, 1])))
@@ -193,8 +194,8 @@ def _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
         for wheel in range(4):
             ahead = along + (prices.axle if wheel < 2 else -prices.axle)
             aside = prices.tread if wheel % 2 == 0 else -prices.tread
-            c = math.floor((xa + ahead * ux - aside * uy - x0) / res + 0.5)
-            r = math.floor((ya + ahead * uy + aside * ux - y0) / res + 0.5)
+            c = cell_of(xa + ahead * ux - aside * uy, x0, res)
+            r = cell_of(ya + ahead * uy + aside * ux, y0, res)
             if not (0 <= r < rows and 0 <= c < cols) or flags[r, c] & (FIELD | HOLE | UNSEEN | VIRTUAL):
                 known = False
                 break

@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cell_of
 from planning.graph.edge_price import edge_price, room_for, wheel_track
+from planning.graph.edge_risk import F32, edge_risk
 from planning.graph.flags import ASSUMED, FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
-from planning.graph.risk import F32, edge_risk
 
 MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks
@@ -198,8 +199,8 @@ def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
         run = 0
         for s in range(n + 1):
             along = low + s * step
-            c = math.floor((xa + along * ux - across * uy - x0) / res + 0.5)
-            r = math.floor((ya + along * uy + across * ux - y0) / res + 0.5)
+            c = cell_of(xa + along * ux - across * uy, x0, res)
+            r = cell_of(ya + along * uy + across * ux, y0, res)
             if 0 <= r < rows and 0 <= c < cols and flags[r, c] & HOLE:
                 run += 1
                 if run > most:

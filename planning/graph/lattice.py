@@ -18,6 +18,7 @@ from planning.graph.blind import assume_blind
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
 from planning.graph.edge_price import BEYOND
+from planning.graph.edge_risk import F32, window_minmax
 from planning.graph.edges import MARGIN, SECTION, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
@@ -26,7 +27,6 @@ from planning.graph.nodes import CLEAR_LEVELS, place_nodes
 from planning.graph.params import GraphParams, Window, merge_windows
 from planning.graph.prices import prices_of
 from planning.graph.reachable import Built, reachable
-from planning.graph.risk import F32, window_minmax
 
 REACH = 2.0
 """Longest edge, in lattice cells: expand_dist + robot_size, the native bound. Long edges keep narrow passages

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.graph.risk import F32, disc_blocked, edge_risk, height_near, window_minmax
+from planning.graph.edge_risk import F32, disc_blocked, edge_risk, height_near, window_minmax
 
 MAX_BLOCKED_DRAWS = 1000
 MAX_ROOT_TRIES = 101
@@ -48,14 +48,14 @@ def _bucket(x, y, bx, by, size, nbx, nby):
 
 
 @njit(cache=True)
-def grow(height, xs, ys, x0, y0, res, start_x, start_y, dist, radius, samples, limit, share, key):
+def grow(
+    height, xs, ys, x0, y0, res, low, high, k, start_x, start_y, dist, radius, samples, limit, share, key
+):
     """Expand the graph from the start. -> status, nodes (n, 3) f32, alive (n,), edges (m, 2), risk (m,).
 
-    status 1: no free root was found. Arguments that are lengths are float32.
+    status 1: no free root was found. Arguments that are lengths are float32; low, high: `window_minmax` of k cells.
     """
     rows, cols = height.shape
-    k = math.floor(radius / res + 0.5) + 1
-    low, high = window_minmax(height, k)
     buffer = np.empty((2 * k + 1) ** 2, np.float32)
     pos = np.array([624])
     share = F32(share)
@@ -285,8 +285,9 @@ def build_native(
     xs = (origin[0] + np.arange(cols) * res).astype(np.float32)
     ys = (origin[1] + np.arange(rows) * res).astype(np.float32)
     key = np.random.RandomState(seed).get_state(legacy=True)[1].astype(np.uint32)  # type: ignore[index]
+    k = math.floor(float(F32(params.robot_size)) / res + 0.5) + 1
     status, nodes, alive, edges, risk = grow(
-        height, xs, ys, origin[0], origin[1], res, F32(start[0]), F32(start[1]), F32(params.expand_dist),
+        height, xs, ys, origin[0], origin[1], res, *window_minmax(height, k), k, F32(start[0]), F32(start[1]), F32(params.expand_dist),
         F32(params.robot_size), params.sample_num, F32(params.height_threshold), params.collision_threshold, key,
     )  # fmt: skip
     if status:

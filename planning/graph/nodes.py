@@ -11,16 +11,16 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cell_of
+from planning.graph.edge_risk import F32, disc_blocked
 from planning.graph.flags import FACE, HIGH, LOW, UNSEEN
-from planning.graph.risk import F32, disc_blocked
 
 CLEAR_LEVELS = (0.45, 0.36, 0.28)
-"""Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes."""
+"""Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes. Nodes
+with less than the best move away from what is near: to where edges in more directions fit, and in a passage to its
+middle, so that edges along it are parallel to its walls."""
 TRIES = 6
 """Valid candidates looked at beside an obstacle."""
-TIGHT = 0.45
-"""Nodes with less clearance than this [m] move away from what is near: to where edges in more
-directions fit, and in a passage to its middle, so that edges along it are parallel to its walls."""
 CORE = 0.5
 """The first half of a cell's candidates lie in its inner part of this width: evenly spaced nodes on open ground."""
 
@@ -61,7 +61,7 @@ def step_distance2(flags, x0, y0, res, x, y, radius):
     low = limit
     low_x = x
     low_y = y
-    r_mid = math.floor((y - y0) / res + 0.5)
+    r_mid = cell_of(y, y0, res)
     k = math.ceil(radius / res)
     for j in range(2 * k + 1):
         # rows from the middle outwards, so that the search narrows early beside an obstacle
@@ -98,8 +98,8 @@ def _seen(flags, x0, y0, res, x, y, radius, share):
     """True if at least `share` of the disc is seen."""
     rows, cols = flags.shape
     k = math.ceil(radius / res)
-    r_mid = math.floor((y - y0) / res + 0.5)
-    c_mid = math.floor((x - x0) / res + 0.5)
+    r_mid = cell_of(y, y0, res)
+    c_mid = cell_of(x, x0, res)
     total = 0
     seen = 0
     for r in range(r_mid - k, r_mid + k + 1):
@@ -143,15 +143,15 @@ def _keep_off2(flags, x0, y0, res, x, y, radius):
 @njit(cache=True)
 def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
     """x, y moved away from what is nearest, 2 cm at a time, inside its lattice cell, while that gives clearance."""
-    best, sx, sy = _keep_off2(flags, x0, y0, res, x, y, TIGHT)
+    best, sx, sy = _keep_off2(flags, x0, y0, res, x, y, CLEAR_LEVELS[0])
     for _ in range(12):
-        if best >= TIGHT * TIGHT or best == 0.0:
+        if best >= CLEAR_LEVELS[0] * CLEAR_LEVELS[0] or best == 0.0:
             break
         d = math.sqrt(best)
         # not quite to the cell's border, or neighbours could meet there
         px = min(max(x + 0.02 * (x - sx) / d, low_x + 0.05 * side), low_x + 0.95 * side)
         py = min(max(y + 0.02 * (y - sy) / d, low_y + 0.05 * side), low_y + 0.95 * side)
-        d2, sx, sy = _keep_off2(flags, x0, y0, res, px, py, TIGHT)
+        d2, sx, sy = _keep_off2(flags, x0, y0, res, px, py, CLEAR_LEVELS[0])
         if d2 <= best:
             break
         best = d2
@@ -189,7 +189,7 @@ def place_nodes(
                 x, y = candidate(seed + drawn[j, i], ix0 + i, iy0 + j, k, samples, side)
                 if x < x0 or y < y0 or x > x0 + (cols - 1) * res or y > y0 + (rows - 1) * res:
                     continue
-                own = flags[math.floor((y - y0) / res + 0.5), math.floor((x - x0) / res + 0.5)]
+                own = flags[cell_of(y, y0, res), cell_of(x, x0, res)]
                 if own & (FACE | UNSEEN):
                     continue
                 if step_distance2(flags, x0, y0, res, x, y, half_width)[0] < half_width * half_width:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from mapping.grid import ElevationGrid
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import in_sight
-from planning.graph.risk import nearest_height
+from planning.graph.edge_risk import nearest_height
 
 
 class Built(NamedTuple):
@@ -29,31 +30,6 @@ class Built(NamedTuple):
     edge_revision: NDArray[np.int64]
 
 
-@njit(cache=True)
-def components(n, edges):
-    """(n,) int64: the lowest node index of each node's connected component."""
-    parent = np.arange(n)
-    for e in range(len(edges)):
-        a = edges[e, 0]
-        b = edges[e, 1]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
-        if a < b:
-            parent[b] = a
-        else:
-            parent[a] = b
-    for v in range(n):
-        a = v
-        while parent[a] != a:
-            a = parent[a]
-        parent[v] = a
-    return parent
-
-
 def reachable(
     cells: Cells, grid: ElevationGrid, start: tuple[float, float], reach: float, before: NDArray[np.int64]
 ) -> Built:
@@ -65,7 +41,8 @@ def reachable(
     ej, ei, eo = np.nonzero(cells.risk >= 0.0)
     edges = np.stack([index[ej, ei], index[ej + OFFSETS[eo, 0], ei + OFFSETS[eo, 1]]], axis=1)
     xy, ids = cells.where[j, i], cells.ids(j, i)
-    label = components(len(j), edges)
+    joined = coo_array((np.ones(len(edges), np.bool_), edges.T), shape=(len(j), len(j)))
+    label = connected_components(joined, directed=False)[1]
     near = np.flatnonzero(in_sight(cells.flags, *cells.origin, cells.res, *start, xy, reach))
     if len(near):
         keep = np.isin(label, label[near])

@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.envelope import Envelope
+from hal.raster import cells_of
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
+from planning.graph.describe import HEADING_STEP
 from planning.graph.edge_price import HIGHEST_FACE, room_for, wheel_track
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import FIELD
@@ -34,8 +36,8 @@ from planning.risk.turns import ASKEW, BEND
 
 Array = NDArray[np.float64]
 
-SPACING, SWEEP = 0.10, math.radians(5.0)
-"""Of the poses along a move [m] and in a turn [rad]."""
+SPACING = 0.10
+"""Of the poses along a move [m]; in a turn it is `HEADING_STEP`."""
 FOOT = 0.10
 """Foot and top of a face lie so far [m] before and behind its middle."""
 EDGE = 10
@@ -139,7 +141,7 @@ class Drive:
         for k in range(len(yaw) + 1):
             size = float(turn_angle(before[k], after[k]))
             if not math.isnan(size) and size != 0.0:
-                n = math.ceil(abs(size) / SWEEP)
+                n = math.ceil(abs(size) / HEADING_STEP)
                 at = before[k] + size * (np.arange(n) + 0.5) / n
                 poses.append(np.column_stack([np.broadcast_to(way.xy[k], (n, 2)), at]))
                 move += [min(k, len(yaw) - 1)] * n
@@ -155,8 +157,8 @@ class Drive:
     def _at(self, x: Array, y: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Row and column of the cells at x, y [m], the nearest ones for places off the map."""
         grid = self._grid
-        col = np.floor((x - grid.origin[0]) / grid.resolution + 0.5).astype(np.int64)
-        row = np.floor((y - grid.origin[1]) / grid.resolution + 0.5).astype(np.int64)
+        col = cells_of(x, grid.origin[0], grid.resolution)
+        row = cells_of(y, grid.origin[1], grid.resolution)
         return np.clip(row, 0, grid.shape[0] - 1), np.clip(col, 0, grid.shape[1] - 1)
 
     def _under(self, poses: Array, points: Array) -> tuple[Array, Array]:

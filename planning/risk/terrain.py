@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
@@ -162,9 +163,7 @@ class Terrain:
         )
         inner = np.s_[r0 + window : r1 - window, c0 + window : c1 - window]
         part = np.s_[window : r1 - r0 - window, window : c1 - c0 - window]
-        sampler.ceiling.reshape(rows, cols)[inner] = _dilate(
-            np.ascontiguousarray(self.height[r0:r1, c0:c1]), window
-        )[part]
+        sampler.ceiling.reshape(rows, cols)[inner] = _dilate(self.height[r0:r1, c0:c1], window)[part]
         seen = np.ascontiguousarray(self.seen[r0 : r1 + 1, c0 : c1 + 1])
         sampler.known.reshape(rows, cols)[inner] = _known(seen, window)[part]
 
@@ -253,35 +252,9 @@ def _pairs(height: NDArray[np.float32]) -> NDArray[np.uint64]:
     return np.ndarray((flat.size - 1,), np.uint64, flat.data, strides=(4,))
 
 
-@njit(cache=True)
-def _dilate(height: np.ndarray, window: int) -> np.ndarray:
-    """Largest value within `window` cells in both directions, away from a border of that width."""
-    rows, cols = height.shape
-    out = height.copy()
-    width = 2 * window + 1
-    line = np.empty(max(rows, cols), np.float32)
-    for r in range(rows):
-        for c in range(cols):
-            line[c] = out[r, c]
-        # line[c] becomes the maximum of `have` cells from c on; the last shift brings it to `width`.
-        have = 1
-        while have < width:
-            shift = min(have, width - have)
-            for c in range(cols - shift):
-                line[c] = line[c] if line[c] > line[c + shift] else line[c + shift]
-            have += shift
-        for c in range(cols - 2 * window):
-            out[r, window + c] = line[c]
-    have = 1
-    while have < width:
-        shift = min(have, width - have)
-        for r in range(rows - shift):
-            for c in range(cols):
-                out[r, c] = out[r, c] if out[r, c] > out[r + shift, c] else out[r + shift, c]
-        have += shift
-    for r in range(rows - window - 1, window - 1, -1):
-        for c in range(cols):
-            out[r, c] = out[r - window, c]
+def _dilate(height: NDArray[np.float32], window: int) -> NDArray[np.float32]:
+    """Largest value within `window` cells in both directions."""
+    out: NDArray[np.float32] = ndimage.maximum_filter(height, 2 * window + 1)
     return out
 
 

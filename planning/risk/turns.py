@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
-from planning.graph.describe import HEADINGS, turn_is_free
+from planning.graph.describe import HEADING_STEP, turn_is_free
 
 BEND = math.radians(30.0)
 """Larger turns [rad] are made on the spot."""
 ASKEW = 0.05
 """Straight moves were tried up to so much off their heading [rad] (`hal.envelope`): a bend counts beyond it."""
-_STEP = np.pi / HEADINGS
 
 
 @njit(cache=True)
@@ -31,4 +29,4 @@ def may_turn_to(room: int, yaw: float, turn: float) -> bool:
     """True if the robot may turn by `turn` [rad, signed] from the heading of an edge and stay there."""
     if turn == 0.0:
         return True
-    return turn_is_free(room, yaw, turn + (_STEP if turn > 0.0 else -_STEP))
+    return turn_is_free(room, yaw, turn + (HEADING_STEP if turn > 0.0 else -HEADING_STEP))

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_price
+from planning.graph.edge_risk import F32, height_near
 from planning.graph.edges import COLUMNS, MARGIN, SECTION, move
 from planning.graph.flags import FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.prices import prices_of
-from planning.graph.risk import F32, height_near
 from planning.risk.turns import BEND
 from planning.search.guarded import guarded_turn, without
 

@@ -10,15 +10,14 @@ from hal.safety.planned import free_turn, mapped
 from hal.safety.swept import Body, Surroundings
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
-from planning.graph.describe import HEADINGS
+from planning.graph.describe import HEADING_STEP, HEADINGS
 from planning.graph.params import GraphParams
-from planning.search.wheels import wheels_turn
+from planning.search.turn_clearance import wheels_turn
 
 REACH = 0.6
 """[m] around a turn: what the corners of the body sweep, and a gap beside it."""
 SPARE = 0.05
 """[m] by which the body may miss the place of a turn, or drift while it turns: up to 0.1 m was seen on level ground."""
-_STEP = math.pi / HEADINGS
 
 
 def known_around(grid: ElevationGrid, xy: tuple[float, float], reach: float) -> Surroundings:
@@ -61,6 +60,6 @@ def without(room: np.uint64, yaw: float, turn: float, free: float) -> np.uint64:
     """The headings `room` (`TraversalGraph.free_headings`) less one, so that a turn from `yaw` by `turn` [rad] that the guard holds after `free`
     [rad] finds none: `turn_is_free` asks the headings between both ends."""
     low, high = sorted((yaw, yaw + turn))
-    first, last = math.floor(low / _STEP) + 1, math.ceil(high / _STEP) - 1
-    at = round((yaw + math.copysign(free, turn)) / _STEP)
+    first, last = math.floor(low / HEADING_STEP) + 1, math.ceil(high / HEADING_STEP) - 1
+    at = round((yaw + math.copysign(free, turn)) / HEADING_STEP)
     return np.uint64(int(room) & ~(1 << (min(max(at, first), last) % HEADINGS)))

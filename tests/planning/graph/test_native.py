@@ -7,9 +7,9 @@ import pytest
 
 from mapping.grid import ElevationGrid
 from planning import NoRoute
+from planning.graph.edge_risk import disc_blocked, edge_risk, top_two_z, window_minmax
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.graph.native import _draw
-from planning.graph.risk import disc_blocked, edge_risk, top_two_z, window_minmax
 from tests.places import GOLDEN, needs_shared
 from tools.bench.planning.oracle import NativeOracle
 

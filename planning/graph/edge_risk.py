@@ -10,40 +10,24 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from hal.raster import cell_of
 
 F32 = np.float32
 
 
-@njit(cache=True)
-def window_minmax(height, k):
-    """Least and largest height over the (2k + 1)^2 square around each cell: two (rows, cols) float32. NaN ignored.
-
-    Doubling: each pass joins windows of length w into windows of length up to 2w, so a window of 31 costs five
-    passes instead of thirty, all of them over contiguous rows.
-    """
-    rows, cols = height.shape
-    low = np.empty((rows, cols), np.float32)
-    high = np.empty((rows, cols), np.float32)
-    for r in range(rows):
-        for c in range(cols):
-            z = height[r, c]
-            low[r, c] = z if z == z else np.inf
-            high[r, c] = z if z == z else -np.inf
-    width = 1
-    target = 2 * k + 1
-    # forward windows [i, i + width), cut at the border
-    while width < target:
-        s = min(width, target - width)
-        for r in range(rows):
-            for c in range(cols - s):
-                low[r, c] = min(low[r, c], low[r, c + s])
-                high[r, c] = max(high[r, c], high[r, c + s])
-        for r in range(rows - s):
-            for c in range(cols):
-                low[r, c] = min(low[r, c], low[r + s, c])
-                high[r, c] = max(high[r, c], high[r + s, c])
-        width += s
-    return low, high
+def window_minmax(height: NDArray[np.float32], k: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Least and largest height [m] of the (2k + 1)^2 cells around each: two (rows, cols). NaN and what lies outside do
+    not count."""
+    size, unknown = 2 * k + 1, np.isnan(height)
+    low = np.where(unknown, F32(np.inf), height)
+    high = np.where(unknown, F32(-np.inf), height)
+    return (
+        ndimage.minimum_filter(low, size, mode="constant", cval=np.inf),
+        ndimage.maximum_filter(high, size, mode="constant", cval=-np.inf),
+    )
 
 
 @njit(cache=True)
@@ -84,11 +68,9 @@ def disc_blocked(height, xs, ys, x0, y0, res, low, high, k, x, y, radius, limit,
     No map point at all counts as blocked.
     """
     rows, cols = height.shape
-    r_mid = math.floor((y - y0) / res + 0.5)
-    c_mid = math.floor((x - x0) / res + 0.5)
-    # window_minmax starts its windows at their lower corner
-    inside = k <= r_mid < rows - k and k <= c_mid < cols - k
-    if inside and high[r_mid - k, c_mid - k] - low[r_mid - k, c_mid - k] <= limit:
+    r_mid = cell_of(y, y0, res)
+    c_mid = cell_of(x, x0, res)
+    if 0 <= r_mid < rows and 0 <= c_mid < cols and high[r_mid, c_mid] - low[r_mid, c_mid] <= limit:
         known = height[r_mid, c_mid]
         if known == known:
             return False
@@ -255,8 +237,8 @@ def edge_risk(height, xs, ys, x0, y0, res, xa, ya, xb, yb, radius, native):
 def height_near(height, x0, y0, res, x, y):
     """Height of the map point nearest to x, y; searched ring by ring, so gaps in the map do not matter."""
     rows, cols = height.shape
-    r0 = min(max(math.floor((y - y0) / res + 0.5), 0), rows - 1)
-    c0 = min(max(math.floor((x - x0) / res + 0.5), 0), cols - 1)
+    r0 = min(max(cell_of(y, y0, res), 0), rows - 1)
+    c0 = min(max(cell_of(x, x0, res), 0), cols - 1)
     z = height[r0, c0]
     if z == z:
         return z

@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cell_of
 from hal.safety.planned import Pose
 from hal.safety.swept import Body, Surroundings, turn_step
 from planning.graph.params import GraphParams
@@ -59,8 +60,8 @@ def wheel_face(
         ground = np.full(steps + 1, np.nan)
         for i in range(first + 1):
             a = angle + i * step
-            col = math.floor((x + radius * math.cos(a) - x0) / resolution + 0.5)
-            row = math.floor((y + radius * math.sin(a) - y0) / resolution + 0.5)
+            col = cell_of(x + radius * math.cos(a), x0, resolution)
+            row = cell_of(y + radius * math.sin(a), y0, resolution)
             if 0 <= row < rows and 0 <= col < cols:
                 ground[i] = height[row, col]
             met = False

@@ -11,7 +11,7 @@ from hal.safety.planned import free_turn, mapped
 from hal.safety.swept import turn_step
 from hal.types import Capabilities
 from planning.graph.params import GraphParams
-from planning.search.wheels import TURN_FACE, wheels_turn
+from planning.search.turn_clearance import TURN_FACE, wheels_turn
 from tests.hal.safety.ground import BODY, CORNER, RES, N, X, Y
 
 PARAMS, FLAT = GraphParams(max_slope=0.44), GraphParams(max_slope=1e-9)

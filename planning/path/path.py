@@ -26,6 +26,7 @@ from planning.risk.pose_sets import turn_angle
 from planning.risk.steps import steps_under
 from planning.risk.terrain import Terrain, heights_at
 from planning.search.plan import Plan
+from planning.search.straight import CHORD_SLACK
 
 Array = NDArray[np.float64]
 
@@ -187,9 +188,7 @@ def _dense(body: BodyModel, limits: PathLimits) -> BodyModel:
     return body.model_copy(update={"edge_step": limits.spacing})
 
 
-_SLACK = 0.02
-"""Scaled risk by which a rounded corner may exceed the sharp one: the height noise of one cell."""
-_SLACK_PEAK = 0.005
+PEAK_SLACK = 0.005
 """Share of a feature's scale by which the path's maximum may exceed the route's: what sampling alone makes of it."""
 
 
@@ -219,8 +218,8 @@ def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimi
         mine, face = moments_of(terrain_features(terrain, poses, body), parts, body), steps(poses)
         out = []
         for k, (i, part) in enumerate(corners):
-            higher = (mine[k, 2, :3] - peak > _SLACK_PEAK * body.scales[:3]).any()
-            if higher or (len(raw[i]) and _rise(mine[k], sharp[i], body) > _SLACK):
+            higher = (mine[k, 2, :3] - peak > PEAK_SLACK * body.scales[:3]).any()
+            if higher or (len(raw[i]) and _rise(mine[k], sharp[i], body) > CHORD_SLACK):
                 out.append(i)
             elif len(raw[i]):
                 step = face[part].max()

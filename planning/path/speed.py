@@ -14,7 +14,7 @@ from planning.risk.body import BodyModel
 Array = NDArray[np.float64]
 
 
-MEASURED = 0.5
+MEASURED_SPEED = 0.5
 """Slopes and faces within the limits of every controller are passed at this speed [m/s] (`tools.bench envelope`): they are no reason to
 be slower."""
 
@@ -44,7 +44,7 @@ def speeds(
     pitch = np.arctan(features[:, 0] / (0.75 * body.length))
     share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
     careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk + along), 1.0 - 0.5 * share)
-    careful = np.maximum(careful, np.minimum(limits.max_speed / (1.0 + risk), MEASURED))
+    careful = np.maximum(careful, np.minimum(limits.max_speed / (1.0 + risk), MEASURED_SPEED))
     climb = np.where((faces > LEAST_FACE) & (faces <= limits.max_step + FACE_NOISE), limits.step_speed, 0.0)
     careful = np.maximum(careful, climb)
     speed = bend_speed(curvature, limits.lateral_accel, limits.max_yaw_rate)

@@ -14,7 +14,7 @@ from planning.braking import FOLD, brake
 Array = NDArray[np.float64]
 
 
-REACH = 20
+WATCH_REACH = 20
 """Poses that are watched, 1 m, among which the robot is looked for: a path may come back to where it was."""
 
 
@@ -110,7 +110,7 @@ class Path:
 
     def beyond(self, x: float, y: float) -> Path:
         """The path as one who watches it needs it from now on: without what a robot at x, y [m] has passed."""
-        near = self.watched[:REACH, :2]
+        near = self.watched[:WATCH_REACH, :2]
         k = int(np.argmin(np.hypot(near[:, 0] - x, near[:, 1] - y)))
         if k == 0:
             return self

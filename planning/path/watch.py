@@ -16,11 +16,11 @@ from planning.risk.steps import steps_under
 from planning.risk.terrain import Terrain
 
 Array = NDArray[np.float64]
-SIDE = 0.5
+STRIP_SIDE = 0.5
 """[m] beside the corners of a route that its path, its corridor and what lies under the body's rim stay within."""
-TOLERANCE = 0.02
+FACE_TOLERANCE = 0.02
 """[m] by which a new face must exceed the robot's limit."""
-NOISE = 0.04
+GROWTH_NOISE = 0.04
 """[m] by which a face must have grown: four standard deviations of its change, when each height is known to 5 mm."""
 
 
@@ -51,7 +51,7 @@ def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
     if not len(poses):
         return ""
     step = steps_under(terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
-    excess = step - np.maximum(path.limits.max_step + TOLERANCE, path.faces[inside] + NOISE)
+    excess = step - np.maximum(path.limits.max_step + FACE_TOLERANCE, path.faces[inside] + GROWTH_NOISE)
     bad = int(np.argmax(excess))
     if excess[bad] <= 0.0:
         return ""
@@ -60,7 +60,7 @@ def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
 
 def terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
     """Terrain that a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
-    return terrain_of(grid.around(xy, body.circumradius + SIDE), body)
+    return terrain_of(grid.around(xy, body.circumradius + STRIP_SIDE), body)
 
 
 def in_fields(path: Path, graph: TraversalGraph) -> NDArray[np.bool_]:

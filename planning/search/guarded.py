@@ -14,9 +14,9 @@ from planning.graph.describe import HEADING_STEP, HEADINGS
 from planning.graph.params import GraphParams
 from planning.search.turn_clearance import wheels_turn
 
-REACH = 0.6
+TURN_REACH = 0.6
 """[m] around a turn: what the corners of the body sweep, and a gap beside it."""
-SPARE = 0.05
+TURN_SPARE = 0.05
 """[m] by which the body may miss the place of a turn, or drift while it turns: up to 0.1 m was seen on level ground."""
 
 
@@ -38,7 +38,7 @@ def guarded_turn(
     (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
     robot = drives_over(params)
-    around, pose = known_around(grid, xy, REACH), (*xy, yaw)
+    around, pose = known_around(grid, xy, TURN_REACH), (*xy, yaw)
     return min(
         free_turn(around, pose, turn, robot, spare), wheels_turn(around, pose, turn, Body.of(robot), params)
     )

@@ -16,15 +16,15 @@ from planning.risk.steps import steps_beneath
 from planning.risk.table import RiskTable
 from planning.search.explain import Route
 
-LONGER = 1.02
+LENGTH_GROWTH = 1.02
 """Most the length may grow."""
-CORRIDOR = 0.20
+POINT_CORRIDOR = 0.20
 """Farthest a point may move from its node [m]."""
-STEPS = (0.10, 0.05, 0.02)
+STEP_LENGTHS = (0.10, 0.05, 0.02)
 """Step lengths tried, coarse to fine [m]."""
-ROUNDS = 4
+MOST_ROUNDS = 4
 """Most passes over the route per step length."""
-GAIN = 1e-6
+LEAST_GAIN = 1e-6
 """Least saving that counts [m]: below is rounding."""
 
 
@@ -35,25 +35,25 @@ def refine(table: RiskTable, route: Route) -> Route:
     if inner < 1:
         return route
     searched = route.xy.copy()
-    budget = LONGER * route.length(0, inner + 1).sum()
+    budget = LENGTH_GROWTH * route.length(0, inner + 1).sum()
     core = _peaks(route)[:3]
     cost = route.cost(w)
     unknown = np.nanmax(route.moments[:, :, 2, 3], axis=1)
     face = _faces(table, route, 0, len(cost))
     limit = np.maximum(face, table.graph.params.max_step)
     circle = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
-    for step in STEPS:
-        for _ in range(ROUNDS):
+    for step in STEP_LENGTHS:
+        for _ in range(MOST_ROUNDS):
             moved = False
             for i in range(1, inner + 1):
                 # Moving point i changes the edges at it and the turns at it and at its neighbours.
                 first, last = i - 1, min(i + 2, len(cost))
                 here, saved = route.xy[i].copy(), route.moments[first:last].copy()
-                best, best_xy = cost[first:last].sum() - GAIN, here
+                best, best_xy = cost[first:last].sum() - LEAST_GAIN, here
                 for offset in step * circle:
                     route.xy[i] = here + offset
                     if (
-                        np.hypot(*(route.xy[i] - searched[i])) > CORRIDOR
+                        np.hypot(*(route.xy[i] - searched[i])) > POINT_CORRIDOR
                         or route.length(0, inner + 1).sum() > budget
                     ):
                         continue

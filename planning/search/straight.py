@@ -20,23 +20,23 @@ from planning.risk.table import RiskTable
 from planning.risk.turns import BEND
 from planning.search.attach import Ground, there
 from planning.search.explain import Route
-from planning.search.guarded import SPARE
+from planning.search.guarded import TURN_SPARE
 
-LONGEST = 16
+LONGEST_CHORD = 16
 """Edges of a route that one chord may replace: about 7 m."""
-SLACK = 0.02
-"""Share of a feature's scale by which a chord may exceed the route's largest value: the height noise of one cell."""
-PASSES = 2
+CHORD_SLACK = 0.02
+"""Share of a feature's scale by which a chord, or a rounded corner, may exceed the route: the height noise of one cell."""
+MOST_PASSES = 2
 
 
 def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
-    """Move inner points of `route` onto chords, longest first, until nothing changes (at most `PASSES` times)."""
+    """Move inner points of `route` onto chords, longest first, until nothing changes (at most `MOST_PASSES` times)."""
     w, n = weights_of(table.body), len(route.xy)
     if n < 3:
         return
-    most = _peaks(route.moments) + SLACK * np.array(table.body.scales[:3])
+    most = _peaks(route.moments) + CHORD_SLACK * np.array(table.body.scales[:3])
     cost = route.cost(w)
-    for _ in range(PASSES):
+    for _ in range(MOST_PASSES):
         changed, i = False, 0
         while i < n - 2:
             span = _longest(ground, table, route, i, cost, most)
@@ -52,7 +52,7 @@ def _longest(
     """Take the longest chord from point i, and bring `cost` up to date: how many edges it replaces, less than two:
     there is none."""
     same = np.flatnonzero(route.back[i:] != route.back[i])
-    span = min(int(same[0]) if len(same) else len(route.risk) - i, LONGEST)
+    span = min(int(same[0]) if len(same) else len(route.risk) - i, LONGEST_CHORD)
     while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
         span = span * 2 // 3
     return span
@@ -130,7 +130,7 @@ def free_at(ground: Ground, route: Route, k: int, known: tuple[float, float] | N
     if abs(turn) <= BEND:
         return abs(turn)
     x, y = route.xy[k].tolist()
-    return ground.guarded_turn((x, y), yaw, turn, SPARE if k else 0.0)
+    return ground.guarded_turn((x, y), yaw, turn, TURN_SPARE if k else 0.0)
 
 
 def turn_at(route: Route, k: int) -> tuple[float, float]:

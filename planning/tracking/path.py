@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from hal.rotation import wrap
 from planning.braking import FOLD, bend_speed, brake
 
-STEP = 0.05
+PATH_STEP = 0.05
 """Spacing of the resampled path [m]."""
-LONGEST = 10_000.0
+LONGEST_PATH = 10_000.0
 """[m]: a longer path is an error of somebody's."""
 
 
@@ -161,14 +161,14 @@ def track_path(
     given = None if given is None else given[keep]
     if len(xy) == 1:
         heading = 0.0 if given is None else float(given[0])
-        return TrackPath([xy[0, 0]], [xy[0, 1]], [heading], [0.0], [min_speed], [0.0], STEP, 0.0)
+        return TrackPath([xy[0, 0]], [xy[0, 1]], [heading], [0.0], [min_speed], [0.0], PATH_STEP, 0.0)
 
     chord = np.diff(xy, axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(chord[:, 0], chord[:, 1]))])
     length = float(arc[-1])
-    if not length <= LONGEST:
-        raise PathError(f"a path of {length:.3g} m is longer than {LONGEST:.0f} m")
-    count = max(2, math.ceil(length / STEP) + 1)
+    if not length <= LONGEST_PATH:
+        raise PathError(f"a path of {length:.3g} m is longer than {LONGEST_PATH:.0f} m")
+    count = max(2, math.ceil(length / PATH_STEP) + 1)
     step = length / (count - 1)
     s = np.arange(count) * step
     x, y = np.interp(s, arc, xy[:, 0]), np.interp(s, arc, xy[:, 1])

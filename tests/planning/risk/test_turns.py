@@ -19,7 +19,7 @@ from planning.path import make_path
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
 from planning.risk.turns import ASKEW, BEND, may_turn_to, turn_cost
-from planning.search.guarded import SPARE
+from planning.search.guarded import TURN_SPARE
 from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
 from tests.hal.safety.ground import BODY as RECTANGLE
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
@@ -235,7 +235,7 @@ def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
     for poses in turns_of(found):
         turn = float(poses[-1, 2] - poses[0, 2])
         if abs(turn) > BEND:
-            tracks = turn_tracks(abs(turn), np.sign(turn), RECTANGLE, spare=SPARE)
+            tracks = turn_tracks(abs(turn), np.sign(turn), RECTANGLE, spare=TURN_SPARE)
             place = (float(poses[0, 0]), float(poses[0, 1]), float(poses[0, 2]))
             count += reach_of(tracks, turn_step(RECTANGLE), around, place, FLAT, robot, seen=False).kind > 0
     return count

@@ -86,7 +86,7 @@ class MujocoBackend:
         self._imu_delay, self._joint_delay = round(o.imu_delay * NS), round(o.joint_delay * NS)
         self._lidar_delay = round(o.lidar_delay * NS)
         period = o.timestep * max(1, round(CONTROL_PERIOD / o.timestep))
-        model = robot.load(robot.simulated)
+        model = robot.model()
         self.capabilities = replace(
             robot.capabilities(controller),
             name=f"{robot.name}-mujoco-{controller}",

@@ -90,6 +90,24 @@ def collider(body: mujoco.MjsBody, **shape: object) -> None:
     )
 
 
+def tread(wheel: mujoco.MjsBody, name: str, limbs: Limbs, y: float, friction: float) -> None:
+    """The geom of a wheel that rolls on the ground, its middle `y` [m] beside the joint; sliding `friction`."""
+    wheel.add_geom(
+        name=name,
+        type=CYLINDER,
+        size=[limbs.radius, limbs.tread_width / 2, 0.0],
+        pos=[0.0, y, 0.0],
+        quat=ALONG_Y,
+        contype=1,
+        conaffinity=2,
+        condim=4,
+        priority=1,
+        friction=[friction, SPIN_FRICTION, 0.0],
+        rgba=TYRE,
+        group=1,
+    )
+
+
 def sun(base: mujoco.MjsBody) -> None:
     """The light goes with the robot, so that its shadow map does."""
     base.add_light(

@@ -15,7 +15,7 @@ from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.contacts import ContactReader, Contacts
 from hal.mujoco.model import HIDDEN, build
 from hal.mujoco.robot import Simulated
-from hal.robots import simulated
+from hal.robots import describe
 from hal.types import Array
 
 log = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class Simulation:
         """robot: None takes the default one."""
         # By default MuJoCo writes its warnings, of all simulations of a process, to a file in the working directory.
         mujoco.set_mju_user_warning(log.warning)
-        self.robot: Simulated = robot or simulated()
+        self.robot: Simulated = robot or describe().model()
         self._limbs = self.robot.limbs
         self.height = np.ascontiguousarray(height, np.float32)
         self.resolution = float(resolution)

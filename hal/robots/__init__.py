@@ -3,7 +3,7 @@
 `describe("go2w")` reads one of ours, `describe("path/to/folder")` that of somebody else. Nothing outside of this
 package and of the backends names a robot: whoever needs a fact of it is given `Robot`, or numbers from it."""
 
-from hal.robots.folders import DEFAULT, describe, envelope_file, folder_of, names, simulated
+from hal.robots.folders import DEFAULT, describe, envelope_file, folder_of, names
 from hal.robots.outline import urdf
 from hal.robots.robot import Body, Controller, Lanes, Robot, RobotError
 
@@ -18,6 +18,5 @@ __all__ = [
     "envelope_file",
     "folder_of",
     "names",
-    "simulated",
     "urdf",
 ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -11,9 +12,16 @@ from hal.errors import OperatorError
 from hal.limbs import LEGS, wheel_centres
 from hal.robots.outline import urdf
 from hal.robots.robot import Robot
+from hal.rotation import up_of
+
+if TYPE_CHECKING:
+    from hal.mujoco.sim import Simulation
 
 MASS, PLACE = 0.05, 0.02
 """Share of the mass, and [m] of a wheel's place, by which model and description may differ."""
+
+FALLEN = math.radians(60.0)
+"""Tilt of the trunk [rad] that counts as a fall."""
 
 
 class Finding(NamedTuple):
@@ -95,11 +103,10 @@ def _envelopes(robot: Robot) -> Iterator[Finding]:
 
 def _simulation(robot: Robot) -> Iterator[Finding]:
     """Build it, put it on flat ground, drive it for two seconds."""
-    from hal.mujoco.driver import Driver
     from hal.mujoco.sim import Simulation
 
     try:
-        model = robot.load(robot.simulated)
+        model = robot.model()
     except OperatorError as error:
         yield Finding("wrong", f"simulated: {error}")
         return
@@ -115,21 +122,37 @@ def _simulation(robot: Robot) -> Iterator[Finding]:
     if off > PLACE:
         yield Finding("wrong", f"simulated: its wheels lie up to {off:.3f} m from where `limbs` says")
     for name in robot.own:
-        try:
-            controller = model.controller(name, "", 0.005)
-        except OperatorError as error:
-            yield Finding("missing", f"{name}: {error}")
-            continue
-        able = robot.capabilities(name)
-        sim.reset()
-        driver = Driver(sim, controller)
-        driver.settle(1.0)
-        speed = min(0.4, able.max_vx)
-        for _ in range(round(3.0 / sim.timestep)):
-            driver.step(speed)
-        begin = sim.position
-        for _ in range(round(2.0 / sim.timestep)):
-            driver.step(speed)
-        drove = float(np.linalg.norm((sim.position - begin)[:2])) / 2.0
-        words = f"{name}: told {speed} m/s it drives {drove:.2f} m/s on flat ground"
-        yield Finding("ok" if 0.7 * speed < drove < 1.3 * speed else "wrong", words)
+        yield _driven(robot, sim, name, "")
+
+
+def driven(robot: Robot, name: str, policy: str) -> Finding:
+    """How a controller with that learnt policy drives on flat ground in simulation. Raises an OperatorError."""
+    from hal.mujoco.sim import Simulation
+
+    ground = np.zeros((200, 200), np.float32)
+    return _driven(robot, Simulation(ground, 0.05, (-5.0, -5.0), robot=robot.model()), name, policy)
+
+
+def _driven(robot: Robot, sim: Simulation, name: str, policy: str) -> Finding:
+    from hal.mujoco.driver import Driver
+
+    try:
+        controller = robot.model().controller(name, policy, 0.005)
+    except OperatorError as error:
+        return Finding("missing", f"{name}: {error}")
+    sim.reset()
+    driver = Driver(sim, controller)
+    driver.settle(1.0)
+    speed = min(0.4, robot.capabilities(name).max_vx)
+    begin, tilt = sim.position, 0.0
+    for tick in range(round(5.0 / sim.timestep)):
+        if tick == round(3.0 / sim.timestep):
+            begin = sim.position
+        driver.step(speed)
+        tilt = max(tilt, math.acos(min(up_of(sim.quaternion)[2], 1.0)))
+        if tilt > FALLEN:
+            words = f"{name}: told {speed} m/s it falls over after {tick * sim.timestep:.1f} s on flat ground"
+            return Finding("wrong", words)
+    drove = float(np.linalg.norm((sim.position - begin)[:2])) / 2.0
+    words = f"{name}: told {speed} m/s it drives {drove:.2f} m/s on flat ground and tilts by {math.degrees(tilt):.0f} deg"
+    return Finding("ok" if 0.7 * speed < drove < 1.3 * speed else "wrong", words)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import yaml
 from pydantic import ValidationError
@@ -49,16 +48,6 @@ def describe(name: str = DEFAULT) -> Robot:
         where = ".".join(str(part) for part in first["loc"])
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise RobotError(f"{file}: {where or 'it'}: {first['msg']}{more}") from error
-
-
-def simulated(name: str = DEFAULT) -> Any:
-    """What MuJoCo builds a robot from, a `hal.mujoco.robot.Simulated`. Raises RobotError, NamedError."""
-    robot = describe(name)
-    if not robot.simulated:
-        raise RobotError(
-            f"robot {robot.name} cannot be simulated: `simulated` in {robot.folder / FILE} is empty"
-        )
-    return robot.load(robot.simulated)
 
 
 def envelope_file(controller: str) -> Path:

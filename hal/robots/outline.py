@@ -23,10 +23,8 @@ def outline(robot: Robot) -> str:
     """Links and joints with the names of `hal.limbs.MOTORS`; no inertia."""
     root = Xml.Element("robot", name=robot.name)
     trunk = Xml.SubElement(root, "link", name="base_link")
-    _shape(
-        trunk, "box", (0.0, 0.0, 0.0), size=f"{2 * robot.limbs.hip_x:.4g} {robot.body.width / 2:.4g} {HEIGHT}"
-    )
     limbs = robot.limbs
+    _shape(trunk, "box", (0.0, 0.0, 0.0), size=f"{robot.body.length:.4g} {2 * limbs.hip_y:.4g} {HEIGHT}")
     for leg, sx, sy in zip(LEGS, SX.tolist(), SY.tolist(), strict=True):
         places = (
             ("hip", (limbs.hip_x * sx, limbs.hip_y * sy, limbs.hip_z), "1 0 0"),

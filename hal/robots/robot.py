@@ -135,6 +135,9 @@ class Robot(BaseModel):
         "",
         description="package.module:function(name, source) that fetches a public policy and tells of it, line by line",
     )
+    tells: str = Field(
+        "", description="package.module:function(policy) that tells what a learnt policy needs, line by line"
+    )
     description: str = Field(
         "", pattern=rf"^$|{PATTERN}", description="package.module:function that writes its URDF"
     )
@@ -208,6 +211,12 @@ class Robot(BaseModel):
         self._controller(controller)
         if self.checks:
             self.load(self.checks)(controller, policy)
+
+    def model(self) -> Any:
+        """What MuJoCo builds it from, a `hal.mujoco.robot.Simulated`. Raises RobotError, NamedError."""
+        if not self.simulated:
+            raise RobotError(f"robot {self.name} cannot be simulated: `simulated` in its robot.yaml is empty")
+        return self.load(self.simulated)
 
     def load(self, target: str) -> Any:
         """What a door of the folder names. Raises NamedError."""

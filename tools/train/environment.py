@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from hal.mujoco.attitude import GAIN
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
-from hal.robots.go2w.locomotion.layout import FRAME, Layout
+from hal.robots.go2w.locomotion.layout import Layout
+from hal.robots.go2w.locomotion.rlsar import FRAME
 from hal.types import GRAVITY, Array
 from tools.bench.envelope.trial import TIPPED, steering
 from tools.train.physics import QPOS, QVEL, Robots
-from tools.train.settings import PARAMS, PERIOD, Reward, Settings
+from tools.train.settings import DESCRIPTION, PARAMS, PERIOD, Reward, Settings
 from tools.train.terrain import BEFORE, DEALT, KINDS, LENGTH, LEVELS, OPEN
 
 AGES = PARAMS.ages
@@ -102,7 +103,7 @@ class Environment:
     def __init__(self, settings: Settings, n: int, rng: np.random.Generator) -> None:
         self.settings, self._rng = settings, rng
         self.robots = Robots(n, settings.physics, rng)
-        self.layout = Layout(PARAMS)
+        self.layout = Layout(DESCRIPTION)
         turning = round(settings.turning * n)
         self.kind = np.concatenate([np.full(turning, OPEN), np.resize(DEALT, n - turning)])
         self.back = (self.kind != OPEN) & (np.arange(n) % BACKWARD == 0)

@@ -12,7 +12,7 @@ from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.layout import Layout
 from hal.robots.go2w.simulated import GO2W
 from hal.types import Array
-from tools.train.settings import PARAMS, PERIOD, Physics
+from tools.train.settings import DESCRIPTION, PERIOD, Physics
 from tools.train.terrain import RESOLUTION, Ground
 
 QPOS, QVEL = slice(1, 24), slice(24, 46)
@@ -42,7 +42,7 @@ def variant(ground: Ground, physics: Physics, rng: np.random.Generator) -> mujoc
     trunk = model.body("base_link").id
     model.body_mass[trunk] += rng.uniform(*physics.mass)
     model.body_ipos[trunk] += rng.uniform(-physics.centre, physics.centre, 3)
-    layout = Layout(PARAMS)
+    layout = Layout(DESCRIPTION)
     for column, gain in ((1, layout.kp), (2, layout.kd)):
         model.actuator_biasprm[:, column] = -gain * (1.0 + rng.uniform(-physics.gains, physics.gains))
     return model
@@ -54,7 +54,7 @@ class Robots:
     def __init__(self, n: int, physics: Physics, rng: np.random.Generator) -> None:
         self.ground = Ground.build()
         self.physics, self._rng = physics, rng
-        self.layout = Layout(PARAMS)
+        self.layout = Layout(DESCRIPTION)
         self._models = [variant(self.ground, physics, rng) for _ in range(physics.models)]
         first = self._models[0]
         data = mujoco.MjData(first)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.robots.go2w.locomotion.layout import PolicyParams
+from hal.robots.go2w.locomotion.rlsar import PolicyParams
 
 PARAMS = PolicyParams(
     # Stiff: the torques of the model-based controller can be written as targets of these gains, not of softer ones.
@@ -18,7 +18,9 @@ PARAMS = PolicyParams(
     actions_scale=0.25,
     clip_obs=5.0,
 )
-"""Observation, action and gains."""
+"""Observation, action and gains..."""
+DESCRIPTION = PARAMS.described()
+"""... as controllers read them."""
 HIDDEN = (256, 128, 64)
 """Of the policy, ELU."""
 CRITIC = (256, 128)

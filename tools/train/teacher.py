@@ -13,13 +13,14 @@ from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.attitude import AttitudeFilter
 from hal.mujoco.sim import Simulation
 from hal.robots.go2w import facts as go2w
-from hal.robots.go2w.locomotion.layout import FRAME, Layout
+from hal.robots.go2w.locomotion.layout import Layout
+from hal.robots.go2w.locomotion.rlsar import FRAME
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION, course
 from tools.bench.envelope.trial import TIPPED, steering
-from tools.train.settings import PARAMS
+from tools.train.settings import DESCRIPTION, PARAMS
 
 LEVEL = "ramp_up_0"
 """Level ground, with any command."""
@@ -69,7 +70,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         rng.uniform(-0.15, 0.15),
         rng.uniform(-np.pi, np.pi) if free else rng.uniform(-0.2, 0.2),
     )
-    teacher, layout, attitude = VmcController(), Layout(PARAMS), AttitudeFilter()
+    teacher, layout, attitude = VmcController(), Layout(DESCRIPTION), AttitudeFilter()
     held = LowCommand(layout.default.copy(), np.zeros(16), np.zeros(16), layout.kp.copy(), layout.kd.copy())
     frames: list[NDArray[np.float32]] = []
     outputs: list[NDArray[np.float32]] = []

@@ -34,7 +34,7 @@ class RenderedCamera:
     ) -> None:
         """`start_time`: source clock [ns] from which the obstacles' times count; `robot`: None takes the default one."""
         robot = robot or describe()
-        self._robot = robot.load(robot.simulated)
+        self._robot = robot.model()
         self.camera = camera
         self._scene, self._obstacles, self.start_time = scene, obstacles, start_time
         self._joints: Array = robot.pose

@@ -233,7 +233,7 @@ class _Studio(Canvas):
 
     def __init__(self, scene: Scene, obstacles: tuple[Obstacle, ...], view: View, robot: Robot) -> None:
         sizes = [obstacle.size for obstacle in obstacles]
-        built = robot.load(robot.simulated)
+        built = robot.model()
         model = build(scene.height, scene.resolution, scene.origin, built, boxes=sizes)
         super().__init__(model, view.width, view.height)
         self._view, self._obstacles = view, obstacles

@@ -35,8 +35,6 @@ IMU_POSITION: Final = _ROBOT.imu.translation
 """IMU in base_link; its axes are base_link's."""
 L1_MOUNT: Final = _ROBOT.mounts["l1"]
 XT16_MOUNT: Final = _ROBOT.mounts["xt16"]
-SHORTEST_LEG, LONGEST_LEG = 0.12, 0.38
-"""Reach of the wheel centre below base_link [m] that leaves room to move."""
 
 
 # --- inertia ------------------------------------------------------------------------------------------------------

@@ -17,11 +17,10 @@ from hal.mujoco.robot import (
     CAPSULE,
     CYLINDER,
     SPHERE,
-    SPIN_FRICTION,
-    TYRE,
     collider,
     load,
     motor,
+    tread,
 )
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.facts import Link
@@ -141,20 +140,6 @@ def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: b
     wheel = calf.add_body(name=f"{name}_wheel", pos=[0.0, 0.0, -go2w.CALF])
     _hinge(wheel, f"{name}_wheel", [0.0, 1.0, 0.0])
     _set_inertia(wheel, go2w.WHEEL, 1.0, sy)
-    tread = [0.0, go2w.TREAD_Y * sy, 0.0]
-    wheel.add_geom(
-        name=f"{name}_wheel",
-        type=CYLINDER,
-        size=[go2w.WHEEL_RADIUS, go2w.TREAD_WIDTH / 2, 0.0],
-        pos=tread,
-        quat=ALONG_Y,
-        contype=1,
-        conaffinity=2,
-        condim=4,
-        priority=1,
-        friction=[friction, SPIN_FRICTION, 0.0],
-        rgba=TYRE,
-        group=1,
-    )
+    tread(wheel, f"{name}_wheel", go2w.LIMBS, go2w.TREAD_Y * sy, friction)
     if looks:
         dress_leg(hip, thigh, calf, wheel, sx, sy)

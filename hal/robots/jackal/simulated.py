@@ -16,13 +16,12 @@ from hal.mujoco.robot import (
     DARK,
     LENS,
     SHELL,
-    SPIN_FRICTION,
     STEEL,
-    TYRE,
     collider,
     load,
     motor,
     sun,
+    tread,
     visual,
 )
 from hal.robots.folders import describe
@@ -42,7 +41,7 @@ class Jackal:
     """`hal.mujoco.robot.Simulated`."""
 
     def __init__(self) -> None:
-        self._robot = describe("jackal")
+        self._robot = describe(str(Path(__file__).parent))
         self.limbs, self.stand, self.legs = self._robot.limbs, self._robot.pose, None
         wheels = np.array([name.endswith("wheel") for name in MOTORS])
         self.torque_limit = np.where(wheels, TORQUE, 0.0)
@@ -83,19 +82,7 @@ class Jackal:
             wheel.mass = WHEEL_MASS
             across = WHEEL_MASS * (3.0 * limbs.radius**2 + limbs.tread_width**2) / 12.0
             wheel.inertia = [across, 0.5 * WHEEL_MASS * limbs.radius**2, across]
-            wheel.add_geom(
-                name=f"{leg}_wheel",
-                type=CYLINDER,
-                size=[limbs.radius, limbs.tread_width / 2, 0.0],
-                quat=ALONG_Y,
-                contype=1,
-                conaffinity=2,
-                condim=4,
-                priority=1,
-                friction=[friction, SPIN_FRICTION, 0.0],
-                rgba=TYRE,
-                group=1,
-            )
+            tread(wheel, f"{leg}_wheel", limbs, limbs.tread_y * sy, friction)
             if looks:
                 face = [0.0, (limbs.tread_width / 2 + 0.001) * sy, 0.0]
                 visual(wheel, STEEL, type=CYLINDER, size=[0.06, 0.002, 0.0], pos=face, quat=ALONG_Y)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from hal.limbs import LEGS, MOTORS, wheel_centres, wheel_jacobians
-from hal.robots import DEFAULT, Robot, RobotError, describe, envelope_file, names, simulated, urdf
+from hal.robots import DEFAULT, Robot, RobotError, describe, envelope_file, names, urdf
 from hal.robots.check import findings
 from hal.types import Extrinsics
 from tests.places import ROOT
@@ -144,7 +144,7 @@ def test_who_names_no_robot_of_ours_and_no_folder_reads_which_there_are(tmp_path
 
 def test_a_robot_without_a_model_cannot_be_simulated(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="cannot be simulated"):
-        simulated(str(folder(tmp_path, simulated="", backends=["mine"])))
+        describe(str(folder(tmp_path, simulated="", backends=["mine"]))).model()
 
 
 def test_lidars_sit_where_is_said_else_where_the_robot_usually_carries_them() -> None:

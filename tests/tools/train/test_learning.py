@@ -10,7 +10,8 @@ pytest.importorskip("optax")
 
 from rich.console import Console
 
-from hal.robots.go2w.locomotion.policy import PolicyController, forward
+from hal.robots.go2w.locomotion.network import forward
+from hal.robots.go2w.locomotion.policy import PolicyController
 from tools.train import network, perceptron, ppo
 from tools.train.checkpoint import Checkpoint
 from tools.train.cloning import fit
@@ -64,4 +65,4 @@ def test_a_run_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     assert Checkpoint.load(tmp_path).iteration == 5
     assert len((tmp_path / "curves.jsonl").read_text().splitlines()) == 5
     assert (tmp_path / "curves.png").stat().st_size > 5000
-    assert PolicyController(tmp_path / "policy.npz").layers[0].weight.shape == (256, SEEN)
+    assert PolicyController(tmp_path / "policy.npz").network.inputs == SEEN

@@ -9,8 +9,9 @@ from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.attitude import GAIN, AttitudeFilter
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
-from hal.robots.go2w.locomotion.layout import FRAME, Layout
+from hal.robots.go2w.locomotion.layout import Layout
 from hal.robots.go2w.locomotion.policy import PolicyController
+from hal.robots.go2w.locomotion.rlsar import FRAME
 from hal.robots.go2w.locomotion.torchfile import Layer
 from hal.robots.go2w.locomotion.weights import save_weights
 from hal.rotation import rotation as matrix_of
@@ -29,7 +30,7 @@ from tools.train.environment import (
     in_body,
     rewards,
 )
-from tools.train.settings import PARAMS, PERIOD, Physics, Settings
+from tools.train.settings import DESCRIPTION, PARAMS, PERIOD, Physics, Settings
 from tools.train.terrain import KINDS, LEVELS, OPEN, RESOLUTION, Ground, lane
 
 
@@ -134,13 +135,13 @@ def test_robots_in_lanes_are_told_to_slow_down_to_turn_aside_and_to_stand() -> N
 def body(**changes: np.ndarray) -> Body:
     values = {
         "yaw": np.zeros(1), "velocity": np.zeros((1, 3)), "spin": np.zeros((1, 3)), "up": np.array([[0.0, 0.0, 1.0]]),
-        "q": np.tile(Layout(PARAMS).default, (1, 1)), "dq": np.zeros((1, 16)), "torque": np.zeros((1, 16)), "above": np.array([0.4]),
+        "q": np.tile(Layout(DESCRIPTION).default, (1, 1)), "dq": np.zeros((1, 16)), "torque": np.zeros((1, 16)), "above": np.array([0.4]),
     }  # fmt: skip
     return Body(**(values | changes))
 
 
 def test_rewards_of_one_robot_by_hand() -> None:
-    layout, rest = Layout(PARAMS), np.zeros((1, 16), np.float32)
+    layout, rest = Layout(DESCRIPTION), np.zeros((1, 16), np.float32)
     command = np.array([[0.5, 0.0, 0.3]])
     driving = body(
         velocity=np.array([[0.4, 0.1, 0.2]]), spin=np.array([[0.1, 0.2, 0.0]]), above=np.array([0.2])
@@ -171,7 +172,7 @@ def test_a_fallen_robot_ends_and_goes_down_a_level(env: Environment) -> None:
 
 
 def test_a_label_gives_the_teachers_torque() -> None:
-    layout, rng = Layout(PARAMS), np.random.default_rng(0)
+    layout, rng = Layout(DESCRIPTION), np.random.default_rng(0)
     state = LowState(
         0.0,
         layout.default + rng.normal(0, 0.05, 16),

@@ -102,7 +102,7 @@ def run(args: list[str]) -> Report:
         envelope = assumed(stored(ASSUMED_FROM))
         envelope.write(options.file or robot.envelope_file(SPORT))
         return counted(envelope)
-    controller: Locomotion = robot.load(robot.simulated).controller(options.controller, options.policy, DT)
+    controller: Locomotion = robot.model().controller(options.controller, options.policy, DT)
     if robot.name != DEFAULT and not options.write:
         parser.error(f"courses are those of {DEFAULT}: with {robot.name} use --write")
     if options.write:

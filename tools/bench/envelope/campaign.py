@@ -206,7 +206,7 @@ def measure(
     Which trial comes next depends on the counts and `seed` alone, so a file that is interrupted and gone on with is the same.
     `only`: the beginning of the manoeuvres' names. Raises EnvelopeError for a damaged file.
     """
-    model = robot.load(robot.simulated)
+    model = robot.model()
     old = read(path).manoeuvres if path.exists() else {}
     tallies = {m: Tally.of(m, old[m]) if m in old else Tally(m) for m in GRID}
     chosen = [m for m in GRID if m.startswith(only)]

@@ -8,6 +8,7 @@ from hal.lowlevel import Locomotion
 from hal.robots.go2w.locomotion.hybrid import HybridController
 from hal.robots.go2w.locomotion.policy import PolicyController
 from hal.robots.go2w.locomotion.public import DEFAULT, POLICIES, stored
+from hal.robots.go2w.locomotion.torchfile import PolicyError
 from hal.robots.go2w.locomotion.vmc import VmcController, warm_up
 
 OURS = Path(__file__).with_name("go2w.npz")
@@ -32,12 +33,25 @@ def controller_of(name: str, policy: str | Path = "", period: float = 0.005) -> 
     policy: of the learnt policy, see `policy_of`; the model-based controller has none. period: of the model-based
     controller alone [s]; a policy brings its own. Raises PolicyError, and ValueError for a bad period."""
     if name == "policy":
-        return PolicyController(policy_of(name, policy))
+        return _blind(PolicyController(policy_of(name, policy)))
     warm_up()  # before the clock runs: compiling takes seconds
-    return HybridController(policy_of(name, policy)) if name == "hybrid" else VmcController(period=period)
+    if name != "hybrid":
+        return VmcController(period=period)
+    hybrid = HybridController(policy_of(name, policy))
+    _blind(hybrid.climber)
+    return hybrid
 
 
 def check(name: str, policy: str = "") -> None:
     """Whether a controller has what it needs. Raises PolicyError."""
     if name != "vmc":
-        PolicyController(policy_of(name, policy))
+        _blind(PolicyController(policy_of(name, policy)))
+
+
+def _blind(controller: PolicyController) -> PolicyController:
+    """Raises PolicyError for one that sees the ground: no backend has the map."""
+    if count := len(controller.layout.places):
+        raise PolicyError(
+            f"the policy sees heights of the ground at {count} places, which no backend gives to a controller: use one that is blind"
+        )
+    return controller

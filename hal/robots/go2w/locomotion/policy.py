@@ -1,32 +1,22 @@
-"""A learnt locomotion policy, run with numpy alone: rl_sar's folders (fan-ziqi/rl_sar, policy/go2w) and files of our
-own.
+"""A learnt locomotion policy, ours or somebody else's (`hal.robots.go2w.locomotion.source`), as a controller.
 
-A policy folder holds `policy.pt` (TorchScript), `config.yaml` (observation, scales, gains) and optionally `base.yaml`
-(control period), here or one folder up. A file of ours (`hal.robots.go2w.locomotion.weights`) holds the same in one.
-`hal.robots.go2w.locomotion.layout` has the observation.
-
-Policies were trained to step at zero command and creep by 2-3 cm/s, so at zero command the robot brakes, settles and
-then holds its joints where they are."""
+Policies were trained to step at zero command and creep by 2-3 cm/s, so at zero command the robot brakes, settles and then
+holds its joints where they are.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
-from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from hal.lowlevel import LowCommand, LowState
 from hal.robots.go2w import facts as go2w
-from hal.robots.go2w.locomotion.layout import FRAME, Layout, PolicyParams
-from hal.robots.go2w.locomotion.torchfile import Layer, PolicyError, read_mlp
-from hal.robots.go2w.locomotion.weights import load_weights
+from hal.robots.go2w.locomotion.layout import Layout
+from hal.robots.go2w.locomotion.source import read_policy
+from hal.robots.go2w.locomotion.torchfile import PolicyError
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
-
-__all__ = ["PolicyController", "PolicyError", "PolicyParams", "load_params"]
 
 SETTLE_TIME = 0.6
 """[s] of zero command that the policy brakes before the joints are held."""
@@ -37,54 +27,20 @@ HOLD_BLEND = 0.4
 """[s] over which the policy's soft gains turn into the hold's."""
 
 
-def load_params(folder: Path) -> PolicyParams:
-    """config.yaml over base.yaml. Raises PolicyError."""
-    if not folder.is_dir():
-        raise PolicyError(
-            f"policy folder {folder} does not exist: give one that holds config.yaml and policy.pt"
-        )
-    values: dict[str, Any] = {}
-    for path, needed in (
-        (folder / "base.yaml", False),
-        (folder.parent / "base.yaml", False),
-        (folder / "config.yaml", True),
-    ):
-        if not path.is_file():
-            if needed:
-                raise PolicyError(f"{path} is missing: give a policy folder in rl_sar's layout")
-            continue
-        try:
-            tree = yaml.safe_load(path.read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise PolicyError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
-        # One group named after the robot, e.g. `go2w/robot_lab:`.
-        inner = next(iter(tree.values())) if isinstance(tree, dict) and len(tree) == 1 else tree
-        if not isinstance(inner, dict):
-            raise PolicyError(f"{path} must hold one group of `key: value` lines")
-        values |= inner
-    try:
-        return PolicyParams.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise PolicyError(f"{folder / 'config.yaml'}: {key + ': ' if key else ''}{first['msg']}") from error
-
-
 class PolicyController:
-    """`hal.lowlevel.Locomotion` from a policy folder or a file of ours. Follows vx, vy and wz; ignores posture.
-    Raises PolicyError."""
+    """`hal.lowlevel.Locomotion` from a policy, see `read_policy`. Follows vx, vy and wz; ignores posture. Raises PolicyError."""
 
     def __init__(self, source: Path) -> None:
-        if source.suffix == ".npz":
-            self.params, self.layers, _ = load_weights(source)
-        else:
-            self.params, self.layers = _rl_sar(source)
-        self.period = self.params.dt
-        self.layout = Layout(self.params)
+        self.form, self.description, self.network = read_policy(source)
+        self._every = self.description.every
+        self.period = self.description.period / self._every
+        self.layout = Layout(self.description)
         self._hold_kp = np.array([HOLD_KP] * 12 + [WHEEL_HOLD_KP] * 4)
         self._hold_kd = np.array([HOLD_KD] * 12 + [WHEEL_HOLD_KD] * 4)
-        self._frames = np.zeros((self.params.ages[-1] + 1, FRAME), np.float32)
+        self._frames = np.zeros((self.layout.oldest + 1, self.layout.frame_size), np.float32)
         self._command = LowCommand(*(np.zeros(16) for _ in range(5)))
+        self.above: Array | None = None
+        """(m,) base_link above the ground [m] at `layout.places`, of a policy that sees heights; whoever drives it fills it in."""
         self.reset()
 
     def reset(self) -> None:
@@ -92,7 +48,8 @@ class PolicyController:
         self.shake = 0.0
         """Standard deviation of noise on the outputs, as policies are trained with. The same after each reset."""
         self._noise = np.random.default_rng(0)
-        self._action = np.zeros(16, np.float32)
+        self._action = np.zeros(self.layout.size, np.float32)
+        self.network.reset()
         self._tick = 0
         self._begun = False
         self._idle_since: float | None = None
@@ -106,13 +63,14 @@ class PolicyController:
             if self._held is not None:
                 self._held = None
                 self._action[:] = 0.0
+                self.network.reset()
                 self._tick = 0
                 self._begun = False
         elif self._idle_since is None:
             self._idle_since = state.time
         if self._idle_since is not None and state.time - self._idle_since >= SETTLE_TIME:
             return self._hold(state)
-        if self._tick % self.params.decimation == 0:
+        if self._tick % self._every == 0:
             self._run(state, velocity)
         self._tick += 1
         return self._command
@@ -140,45 +98,22 @@ class PolicyController:
     def _run(self, state: LowState, velocity: VelocityCommand) -> None:
         frames, layout = self._frames, self.layout
         frames[1:] = frames[:-1].copy()
+        if self.above is None and len(layout.places):
+            raise PolicyError("the policy sees heights of the ground, and nobody tells it any")
         command = np.array([velocity.vx, velocity.vy, velocity.wz])
         up = np.array(up_of(state.quaternion))
-        layout.frame(state.gyro, up, command, state.q, state.dq, self._action, frames[0])
+        layout.frame(state.gyro, up, command, state.q, state.dq, self._action, frames[0], self.above)
         if not self._begun:
             frames[1:] = frames[0]
             self._begun = True
-        observation = frames[list(self.params.ages)].ravel()
-        action = forward(self.layers, observation)
+        action = self.network(frames.ravel()[layout.seen])
+        if not np.isfinite(action).all():
+            raise PolicyError("the policy's network made what is not a number: use another controller")
         if self.shake > 0.0:
-            action = action + self._noise.normal(0.0, self.shake, 16).astype(np.float32)
+            action = action + self._noise.normal(0.0, self.shake, layout.size).astype(np.float32)
         self._action = np.clip(action, layout.lower, layout.upper)
         c = self._command
         c.q[:], c.dq[:] = layout.targets(self._action)
         c.tau[:] = 0.0
         c.kp[:] = layout.kp
         c.kd[:] = layout.kd
-
-
-def _rl_sar(folder: Path) -> tuple[PolicyParams, list[Layer]]:
-    """A folder in rl_sar's layout. Raises PolicyError."""
-    params = load_params(folder)
-    layers = read_mlp(folder / params.model_name)
-    inputs, outputs = layers[0].weight.shape[1], layers[-1].weight.shape[0]
-    wanted = FRAME * len(params.ages)
-    if (inputs, outputs) != (wanted, 16):
-        raise PolicyError(
-            f"{folder / params.model_name} maps {inputs} to {outputs} numbers, this policy should map {wanted} to 16"
-        )
-    return params, layers
-
-
-def forward(layers: list[Layer], x: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The perceptron's output (n,) for its input (m,), float32."""
-    for weight, bias, activation in layers:
-        x = weight @ x + bias
-        if activation == "ELU":
-            x = np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
-        elif activation == "ReLU":
-            x = np.maximum(x, 0.0)
-        elif activation == "Tanh":
-            x = np.tanh(x)
-    return x

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from hal.npzfile import read_npz
-from hal.robots.go2w.locomotion.layout import FRAME, PolicyParams
+from hal.robots.go2w.locomotion.rlsar import FRAME, PolicyParams
 from hal.robots.go2w.locomotion.torchfile import ACTIVATIONS, Layer, PolicyError
 
 FORMAT = "rbtrg-policy-1"

@@ -28,8 +28,8 @@ from hal.robots.go2w.locomotion.hybrid import (
     HybridController,
     mixed,
 )
-from hal.robots.go2w.locomotion.layout import FRAME, PolicyParams
 from hal.robots.go2w.locomotion.params import VmcParams
+from hal.robots.go2w.locomotion.rlsar import FRAME, PolicyParams
 from hal.robots.go2w.locomotion.torchfile import Layer
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.robots.go2w.locomotion.weights import load_weights, save_weights

@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from hal.lowlevel import LowState
 from hal.mujoco.sim import Simulation
 from hal.robots.go2w import facts as go2w
-from hal.robots.go2w.locomotion.policy import SETTLE_TIME, PolicyController, PolicyError, forward
-from hal.robots.go2w.locomotion.torchfile import Layer, read_mlp
+from hal.robots.go2w.locomotion.network import Perceptron, forward
+from hal.robots.go2w.locomotion.policy import SETTLE_TIME, PolicyController
+from hal.robots.go2w.locomotion.torchfile import Layer, PolicyError, read_mlp
 from hal.types import PostureCommand, VelocityCommand
 from tests.places import POLICY, needs_shared
 
@@ -211,11 +212,14 @@ def edited(folder: Path, **changes: object) -> Path:
     [
         ({"rl_kp": [1.0] * 12}, "rl_kp must hold 16 numbers"),
         ({"default_dof_pos": [float("nan")] * 16}, "default_dof_pos must hold 16 numbers"),
-        ({"observations": ["lin_vel", "commands"]}, "observations must be"),
-        ({"observations_history": [1, 2]}, "must rise from 0"),
-        ({"observations_history": [0, 2, 1]}, "must rise from 0"),
+        ({"observations": ["lin_vel", "commands"]}, "observations: lin_vel: there is ang_vel"),
+        ({"num_observations": 45}, "observations are 57 numbers"),
+        ({"observations_history": [0, 0]}, "each once"),
+        ({"observations_history": [0, 100]}, "from 0 to 99"),
         ({"observations_history": [0, 1]}, "should map 114 to 16"),
-        ({"joint_mapping": [3, 4, 5, 0, 1, 2, *range(6, 16)]}, "SDK order"),
+        ({"joint_mapping": [3, 3, 5, 0, 1, 2, *range(6, 16)]}, "one stands twice"),
+        ({"wheel_indices": [3, 7, 11, 15]}, "wheel_indices must be"),
+        ({"model_name": "../policy.pt"}, "must lie in the same folder"),
         ({"decimation": 0}, "decimation"),
         ({"model_name": "other.pt"}, "does not exist"),
     ],
@@ -231,7 +235,7 @@ def test_missing_things_are_named(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(PolicyError, match=r"nowhere does not exist"):
         PolicyController(tmp_path / "nowhere")
     (folder / "config.yaml").unlink()
-    with pytest.raises(PolicyError, match=r"config\.yaml is missing"):
+    with pytest.raises(PolicyError, match="holds no description of a policy"):
         PolicyController(folder)
     (folder / "config.yaml").write_text("a: [1, 2")
     with pytest.raises(PolicyError, match="cannot be read"):
@@ -292,7 +296,9 @@ def test_a_damaged_file_gives_a_policy_error_and_nothing_else(
 
 @needs_shared
 def test_the_shipped_policy_has_the_published_shape() -> None:
-    layers = PolicyController(POLICY).layers
+    network = PolicyController(POLICY).network
+    assert isinstance(network, Perceptron)
+    layers = network.layers
     assert [layer.weight.shape for layer in layers] == [(512, 57), (256, 512), (128, 256), (16, 128)]
     assert [layer.activation for layer in layers] == ["ELU", "ELU", "ELU", "Identity"]
     assert sum(layer.weight.size + layer.bias.size for layer in layers) == 195_984
@@ -305,7 +311,7 @@ def test_a_copy_with_the_base_file_one_folder_up_works(tmp_path: Path) -> None:
     shutil.copy(POLICY / "policy.pt", inner)
     shutil.copy(POLICY / "config.yaml", inner)
     (tmp_path / "base.yaml").write_text("go2w:\n  dt: 0.005\n  decimation: 8\n")
-    assert PolicyController(inner).params.decimation == 8
+    assert PolicyController(inner).description.period == pytest.approx(0.04)
 
 
 @needs_shared

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hal.robots.go2w import facts as go2w
-from hal.robots.go2w.locomotion.layout import PolicyParams
 from hal.robots.go2w.locomotion.policy import PolicyController
+from hal.robots.go2w.locomotion.rlsar import PolicyParams
 from hal.robots.go2w.locomotion.torchfile import Layer, PolicyError
 from hal.robots.go2w.locomotion.weights import load_weights, save_weights
 
@@ -35,7 +35,7 @@ def test_a_policy_comes_back_with_its_facts(tmp_path: Path) -> None:
     for was, now in zip(layers(), back, strict=True):
         np.testing.assert_allclose(now.weight, was.weight, atol=2e-3)
         assert now.activation == was.activation
-    assert PolicyController(file).params == PARAMS
+    assert PolicyController(file).description == PARAMS.described()
 
 
 @pytest.mark.parametrize(

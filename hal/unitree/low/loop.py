@@ -43,8 +43,10 @@ PERIOD = 0.002
 """[s] between two LowCmd, as in every example of the vendor."""
 HOST_SILENT = 0.2
 """[s] without an order: velocity zero, as the watchdog of the sport service's driver."""
-STATE_SILENT = 0.1
-"""[s] without a LowState: the robot balances by it."""
+STATE_SILENT = 0.09
+"""[s] without a LowState: the robot balances by it. Motors are soft within 0.1 s."""
+SHARES = (0.5, 0.99, 0.999)
+"""Of the times between two commands, as they are told."""
 SOFT_TIME = 0.5
 """[s] of damping after which a robot that lies counts as at rest."""
 SOFTENED = "made soft by L2 + B on the robot's own remote"
@@ -100,7 +102,9 @@ class Report:
     late: int = 0
     """Commands that came more than a period late."""
     worst: float = 0.0
-    """Longest time between two commands [s]."""
+    """Longest time between two commands [s]..."""
+    shares: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """... and that which `SHARES` of them keep."""
 
     def pack(self) -> bytes:
         """One line of JSON."""
@@ -111,9 +115,9 @@ class Report:
         """Raises WireError."""
         try:
             values: dict[str, Any] = json.loads(line)
-            return cls(
-                Phase(values["phase"]), str(values["cause"]), int(values["late"]), float(values["worst"])
-            )
+            a, b, c = map(float, values["shares"])
+            late, worst = int(values["late"]), float(values["worst"])
+            return cls(Phase(values["phase"]), str(values["cause"]), late, worst, (a, b, c))
         except (ValueError, TypeError, KeyError) as error:
             raise WireError(f"report {line[:60]!r} cannot be read: {error}") from error
 
@@ -225,7 +229,7 @@ class MotorLoop:
             return None
         silent = now - self._heard_at
         if silent > STATE_SILENT:
-            self.soften(f"no LowState for {silent:.1f} s: check the cable, then recover")
+            self.soften(f"no LowState for {silent:.2f} s: check the cable, then recover")
         if self._gone_at is not None:
             self._lie_down(now, now - self._gone_at)
         self._steer(now)

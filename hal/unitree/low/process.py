@@ -23,7 +23,7 @@ from hal.robots.go2w.locomotion.torchfile import PolicyError
 from hal.unitree import idl
 from hal.unitree.api import WireError
 from hal.unitree.link import LOW_STATE, DdsLink
-from hal.unitree.low.loop import PERIOD, MotorLoop, Order
+from hal.unitree.low.loop import PERIOD, SHARES, MotorLoop, Order
 from hal.unitree.low.pipe import Lines, write
 from hal.unitree.low.wire import LOW_CMD
 
@@ -35,6 +35,8 @@ COLLECT_EVERY = 500
 """Ticks between two runs of Python's collector."""
 PRIORITY = 50
 """Of the real-time scheduler, where it is permitted."""
+FINE, COUNTED = 5e-5, 400
+"""Width [s] and number of the classes that times between commands are counted in; the last takes all longer ones."""
 LISTEN, OTHERS = 0.3, 10.0
 """[s] to discover who else sends to the motors, and for the watchdog of a loop that died to end."""
 
@@ -78,7 +80,7 @@ def run(loop: MotorLoop, link: DdsLink, watch: subprocess.Popen[bytes]) -> None:
         os.set_blocking(descriptor, False)
     _hurry()
     ticks = late = 0
-    worst = 0.0
+    gaps = Gaps()
     due = last = time.monotonic()
     while not loop.finished:
         now = time.monotonic()
@@ -90,19 +92,47 @@ def run(loop: MotorLoop, link: DdsLink, watch: subprocess.Popen[bytes]) -> None:
         if message is not None:
             link.publish(LOW_CMD, message)
             gap = now - last
-            worst, late = max(worst, gap), late + (gap > 2 * PERIOD)
+            gaps.add(gap)
+            late += gap > 2 * PERIOD
         last = now
         write(beats, b"t")
         ticks += 1
         if ticks % REPORT_EVERY == 0:
             report = loop.report()
-            report.late, report.worst = late, round(worst, 5)
+            report.late, report.worst = late, round(gaps.worst, 5)
+            report.shares = gaps.shares()
             write(1, report.pack())
         if ticks % COLLECT_EVERY == 0:
             gc.collect(0)
         due = max(due + PERIOD, now)  # what a busy machine made late is not made up for
         time.sleep(max(0.0, due - time.monotonic()))
     write(beats, b"e")
+
+
+class Gaps:
+    """Times between two commands, counted."""
+
+    def __init__(self) -> None:
+        self._counts = [0] * COUNTED
+        self._number = 0
+        self.worst = 0.0
+        """[s]"""
+
+    def add(self, gap: float) -> None:
+        """One of so many seconds."""
+        self._counts[min(int(gap / FINE), COUNTED - 1)] += 1
+        self._number += 1
+        self.worst = max(self.worst, gap)
+
+    def shares(self) -> tuple[float, float, float]:
+        """What `SHARES` of them do not exceed [s], to `FINE`, and at most the longest."""
+        found: list[float] = []
+        seen = 0
+        for k, count in enumerate(self._counts):
+            seen += count
+            while len(found) < len(SHARES) and seen >= SHARES[len(found)] * self._number:
+                found.append(round(min((k + 1) * FINE, self.worst) if k < COUNTED - 1 else self.worst, 5))
+        return found[0], found[1], found[2]
 
 
 def _listen(loop: MotorLoop, link: DdsLink, orders: Lines, now: float) -> None:

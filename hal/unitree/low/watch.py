@@ -24,8 +24,8 @@ from hal.unitree.link import DdsLink
 from hal.unitree.low.loop import PERIOD
 from hal.unitree.low.wire import LOW_CMD, Packer
 
-SILENCE = 0.1
-"""[s] without a beat: the loop hangs."""
+SILENCE = 0.09
+"""[s] without a beat: the loop hangs. Motors are soft within 0.1 s."""
 DAMPING = 5.0
 """[s] for which damping is sent: a robot sinks onto its belly within two."""
 
@@ -59,7 +59,7 @@ def silence(beats: int) -> str:
     while True:
         readable, _, _ = select.select([beats], [], [], SILENCE if started else None)
         if not readable:
-            return f"no command for {SILENCE:.1f} s"
+            return f"no command for {SILENCE:.2f} s"
         data = os.read(beats, 4096)
         if not data:
             return "the motor loop is gone" if started else ""

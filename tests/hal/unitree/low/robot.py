@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import mujoco
@@ -102,6 +103,8 @@ class MotorSide(RobotSide):
         checksum."""
         self.stuck = False
         """The motors hold what they were last told."""
+        self.soft_at = 0.0
+        """When a LowCmd made the motors soft [s, monotonic]."""
         self._owned = True
 
     def low_cmd(self, data: bytes) -> None:
@@ -121,9 +124,12 @@ class MotorSide(RobotSide):
             self.fought += 1
         elif not self.stuck:
             self.commands += 1
+            stiff = self.body.stiff
             motors = command["motor_cmd"]
             values = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau", "kp", "kd"))
             self.body.switch.command = LowCommand(*values)
+            if stiff and not self.body.stiff:
+                self.soft_at = time.monotonic()
 
     def step(self, now: int) -> None:
         if self._owned and not self.motion:

@@ -45,7 +45,7 @@ def test_the_watch_ends_with_the_word_of_the_loop(pipe: tuple[int, int]) -> None
 
 def test_the_watch_notices_a_loop_that_hangs_and_one_that_dies(pipe: tuple[int, int]) -> None:
     os.write(pipe[1], b"t")
-    assert "no command for 0.1 s" in silence(pipe[0])
+    assert "no command for 0.09 s" in silence(pipe[0])
     os.write(pipe[1], b"t")
     os.close(pipe[1])
     assert silence(pipe[0]) == "the motor loop is gone"

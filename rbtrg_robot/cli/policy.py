@@ -48,8 +48,8 @@ def policy_check(
 ) -> None:
     """What a policy needs, and what it does in simulation.
 
-    It tells what a robot that stands would be asked for first, then drives the simulated one on flat ground. Exit status 1 where it
-    does not drive.
+    It tells what a robot that stands would be asked for first, then drives the simulated one on flat ground. Exit
+    status 1 where it does not drive.
     """
     from hal.robots import DEFAULT, RobotError, describe
     from hal.robots.check import driven

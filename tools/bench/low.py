@@ -1,11 +1,12 @@
-"""Our controllers at the motors of the real robot (`unitree.level: low`): how regular their commands are, and how soon the motors are
-soft after each fault, with the words that the operator reads.
+"""Our controllers at the motors of the real robot (`unitree.level: low`): how regular their commands are, and how soon
+the motors are soft after each fault, with the words that the operator reads.
 
     python -m tools.bench low [--only BEGINNING_OF_KEY] [--seconds 20] [--controller vmc] [--json]
 
-Faults in lockstep are exact: MuJoCo stands behind LowCmd and LowState, one clock drives it, the motor loop and the host. Commands are
-timed, and processes killed, on loopback DDS beside a simulated robot, which takes a core of its own. A limit on the commands binds where
-the machine was idle before (`low.load_before`): another process's time slice is no property of the loop.
+Faults in lockstep are exact: MuJoCo stands behind LowCmd and LowState, one clock drives it, the motor loop and the
+host. Commands are timed, and processes killed, on loopback DDS beside a simulated robot, which takes a core of its
+own. A limit on the commands binds where the machine was idle before (`low.load_before`): another process's time slice
+is no property of the loop.
 """
 
 from __future__ import annotations

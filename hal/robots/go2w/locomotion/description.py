@@ -1,5 +1,5 @@
-"""What a learnt policy sees and what its outputs mean: `policy.yaml` beside a network, and what rl_sar's and unitree_rl_lab's
-files are read into.
+"""What a learnt policy sees and what its outputs mean: `policy.yaml` beside a network, and what rl_sar's and
+unitree_rl_lab's files are read into.
 
     network: policy.onnx            # or policy.pt, in this folder
     period: 0.02                    # [s] between two outputs
@@ -13,9 +13,9 @@ files are read into.
       - {term: gyro, scale: 0.25}
       - {term: heights, offset: 0.5, clip: [-1, 1], x: [-0.8, 0.8, 17], y: [-0.5, 0.5, 11]}
 
-One number stands for as many as are needed. A term is clipped, then scaled. Ages are policy steps, 0 is now; `order: frame` is one
-whole observation after the other, `order: term` each term with all its ages. Joints that a policy does not name must be wheels: those
-are braked.
+One number stands for as many as are needed. A term is clipped, then scaled. Ages are policy steps, 0 is now; `order:
+frame` is one whole observation after the other, `order: term` each term with all its ages. Joints that a policy does
+not name must be wheels: those are braked.
 """
 
 from __future__ import annotations

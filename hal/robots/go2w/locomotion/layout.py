@@ -1,4 +1,5 @@
-"""`Description` as arrays: what a policy is shown, and what its outputs are turned into. The same for driving and for training."""
+"""`Description` as arrays: what a policy is shown, and what its outputs are turned into. The same for driving and for
+training."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ BRAKE = 2.0
 
 
 class Layout:
-    """For one robot or for many: every array may have leading axes. Joint arrays of the robot are (..., 16) in the order of
-    `hal.limbs.MOTORS`; those of the policy are (..., n), `n` = `size`, in its own."""
+    """For one robot or for many: every array may have leading axes. Joint arrays of the robot are (..., 16) in the
+    order of `hal.limbs.MOTORS`; those of the policy are (..., n), `n` = `size`, in its own."""
 
     def __init__(self, description: Description) -> None:
         joints = description.joints
@@ -64,7 +65,8 @@ class Layout:
             self._low, self._high = (np.concatenate(ends).astype(np.float32) for ends in (low, high))
         self._low[np.isnan(self._low)], self._high[np.isnan(self._high)] = -np.inf, np.inf
         self.seen = self._gather(description)
-        """(k,) index of each number of the observation into frames of rising age (`oldest` + 1, frame_size), raveled."""
+        """(k,) index of each number of the observation into frames of rising age (`oldest` + 1, frame_size),
+        raveled."""
         self.oldest = max(max(description.ages(term)) for term in description.observation)
 
     def _gather(self, description: Description) -> NDArray[np.int64]:
@@ -88,7 +90,8 @@ class Layout:
         """Write `out` (..., frame_size).
 
         gyro (..., 3) [rad/s] and world z `up` (..., 3) in base_link; `command` (..., 3): vx, vy [m/s], wz [rad/s]; q, dq (..., 16)
-        [rad, rad/s]; `action` (..., n): the output of the step before; `above` (..., m): base_link above the ground at `places` [m].
+        [rad, rad/s]; `action` (..., n): the output of the step before; `above` (..., m): base_link above the ground at
+        `places` [m].
         """
         for name, part, scale, offset in self._terms:
             if name == "gyro":

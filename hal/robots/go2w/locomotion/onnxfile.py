@@ -1,7 +1,8 @@
 """A policy's network from an ONNX file, run by onnxruntime on one thread of the CPU. Needs the extra `policies`.
 
-The file comes from somebody else. Before the runtime is given it, its parts are counted: operators of an allow-list alone, no numbers in
-other files, no code of its own, and every array that it computes has a known size, so that it cannot take more memory than a policy needs.
+The file comes from somebody else. Before the runtime is given it, its parts are counted: operators of an allow-list
+alone, no numbers in other files, no code of its own, and every array that it computes has a known size, so that it
+cannot take more memory than a policy needs.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A learnt locomotion policy, ours or somebody else's (`hal.robots.go2w.locomotion.source`), as a controller.
 
-Policies were trained to step at zero command and creep by 2-3 cm/s, so at zero command the robot brakes, settles and then
-holds its joints where they are.
+Policies were trained to step at zero command and creep by 2-3 cm/s, so at zero command the robot brakes, settles and
+then holds its joints where they are.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ HOLD_BLEND = 0.4
 
 
 class PolicyController:
-    """`hal.lowlevel.Locomotion` from a policy, see `read_policy`. Follows vx, vy and wz; ignores posture. Raises PolicyError."""
+    """`hal.lowlevel.Locomotion` from a policy, see `read_policy`. Follows vx, vy and wz; ignores posture. Raises
+    PolicyError."""
 
     def __init__(self, source: Path) -> None:
         self.form, self.description, self.network = read_policy(source)
@@ -40,7 +41,8 @@ class PolicyController:
         self._frames = np.zeros((self.layout.oldest + 1, self.layout.frame_size), np.float32)
         self._command = LowCommand(*(np.zeros(16) for _ in range(5)))
         self.above: Array | None = None
-        """(m,) base_link above the ground [m] at `layout.places`, of a policy that sees heights; whoever drives it fills it in."""
+        """(m,) base_link above the ground [m] at `layout.places`, of a policy that sees heights; whoever drives it
+        fills it in."""
         self.reset()
 
     def reset(self) -> None:

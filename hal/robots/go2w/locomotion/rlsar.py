@@ -1,4 +1,5 @@
-"""Policies in rl_sar's layout (fan-ziqi/rl_sar, policy/ROBOT/NAME): `config.yaml` over `base.yaml`, here or one folder up."""
+"""Policies in rl_sar's layout (fan-ziqi/rl_sar, policy/ROBOT/NAME): `config.yaml` over `base.yaml`, here or one folder
+up."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ _LISTS = (
 
 
 class PolicyParams(BaseModel):
-    """What config.yaml says, one number per joint in the policy's order; keys that do not matter here are left out. Files of ours
-    (`hal.robots.go2w.locomotion.weights`) hold the same."""
+    """What config.yaml says, one number per joint in the policy's order; keys that do not matter here are left out.
+    Files of ours (`hal.robots.go2w.locomotion.weights`) hold the same."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 

@@ -19,7 +19,8 @@ FORMS = f"{OWN} (docs/extend/policies.md), rl_sar's {RL_SAR} or unitree_rl_lab's
 
 
 def read_policy(source: Path) -> tuple[str, Description, Network]:
-    """-> in whose layout it is, and both parts. `source`: an .npz of ours, a folder, or the description in it. Raises PolicyError."""
+    """-> in whose layout it is, and both parts. `source`: an .npz of ours, a folder, or the description in it. Raises
+    PolicyError."""
     if source.suffix == ".npz":
         params, layers, _ = load_weights(source)
         return "a file of ours", params.described(), Perceptron(layers)

@@ -18,8 +18,8 @@ _SLICE = "tag:yaml.org,2002:python/object/apply:builtins.slice"
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads the tag of "all joints" as nothing. An alias stands for plain values alone: of aliases of aliases a few lines can stand
-    for a gigabyte."""
+    """Reads the tag of "all joints" as nothing. An alias stands for plain values alone: of aliases of aliases a few
+    lines can stand for a gigabyte."""
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Raises a YAMLError for an alias of more than plain values."""

@@ -334,6 +334,8 @@ class GuardStage:
         """The input that the guard lacks; empty when it sees."""
         if not self._frame.known:
             return f"no {t.TF_STATIC.name} yet"
+        seen = self._unseen(*self._sweeps)
+        blind = GUARD_BLIND.tell(age=self._told(seen)) if GUARD_BLIND.outside(seen) else ""
         for topic, stamp, limit in (
             (t.MAP_WINDOW, self._stamp if self._around else None, self._params.window_timeout),
             (t.POSE, stamp_of(self._pose) if self._pose else None, self._params.pose_timeout),
@@ -341,11 +343,10 @@ class GuardStage:
             if stamp is None:
                 return f"no {topic.name} yet"
             age = (self._now - stamp) / NS
-            if abs(age) > limit:
-                return f"{topic.name} is {age:.1f} s old"
-        seen = self._unseen(*self._sweeps)
-        if GUARD_BLIND.outside(seen):
-            return GUARD_BLIND.tell(age=self._told(seen))
+            if abs(age) > limit:  # without sweeps the map ends as well
+                return blind or f"{topic.name} is {age:.1f} s old"
+        if blind:
+            return blind
         assert self._around is not None
         if self._dark:
             return "the map knows no ground around the robot"

@@ -345,6 +345,18 @@ def test_without_a_sweep_nothing_moves_and_the_age_is_told() -> None:
     assert around.tick(flat).forward == 1.0
 
 
+def test_where_sweeps_and_map_end_together_the_lidars_are_named() -> None:
+    """The operator read that the map's window is old, which follows from it."""
+    around = Around()
+    assert around.tick(flat).forward == 1.0
+    around.silent |= {t.CLOUD, t.MAP_WINDOW}
+    for _ in range(10):
+        limits = around.tick(flat)
+    assert limits.reason.startswith("no sweep of any LiDAR for 1.0 s")
+    around.silent -= {t.CLOUD}
+    assert around.tick(flat).reason.startswith(f"{t.MAP_WINDOW.name} is 1.1 s old")
+
+
 def test_a_sweep_from_the_future_makes_no_guard_see() -> None:
     around = Around()
     around.silent |= {t.CLOUD}

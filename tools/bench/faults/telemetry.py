@@ -168,6 +168,24 @@ def _times_of_no_sweep(off: float) -> Callable[[list[Sample]], list[Sample]]:
     return _each(edit)
 
 
+def _one_late_point(late: float) -> Callable[[list[Sample]], list[Sample]]:
+    """The last point of the next sweep was measured `late` [s] after it, as one entry of the field says."""
+    done: list[LidarScan] = []
+
+    def change(samples: list[Sample]) -> list[Sample]:
+        out: list[Sample] = []
+        for sample in samples:
+            if isinstance(sample, LidarScan) and not done and len(sample.points):
+                points = sample.points.copy()
+                points["time"][-1] += late
+                done.append(sample)
+                sample = replace(sample, points=points)
+            out.append(sample)
+        return out
+
+    return change
+
+
 HELD = 15.0
 """[s] that a late robot is watched: before, a delay was learnt within ten."""
 FAULTS = (
@@ -183,5 +201,6 @@ FAULTS = (
     Fault("impossible turn rate", (TURN_RATE,), (40.0, 1e20), partial(_in_lockstep, _gyro, 2.5), rest=1.5, error=0.05, says=("a turn rate of",)),
     Fault("impossible joint speed", (JOINT_SPEED,), (1e3, 1e20), partial(_in_lockstep, _one_joint, 2.5), error=0.05, says=("joints:", "rad/s, possible")),
     Fault("IMU stamp ahead", (STAMP_AHEAD,), (3.0, 0.3), partial(_in_lockstep, _imu_ahead, 2.0), error=0.05, says=("IMU: a stamp",)),
+    Fault("one late point", (), (0.3, 20.0), partial(_in_lockstep, _one_late_point, 2.5), error=0.05),
     Fault("times of no sweep", (POINT_TIMES,), (3.0, 40.0), partial(_in_lockstep, _times_of_no_sweep, 2.0), error=0.05, says=("point field 'time' holds",)),
 )  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from hal.scenes.scene import Geometry, SceneError
 
@@ -71,10 +72,19 @@ def read_tif(
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages[0]
-            height = np.asarray(page.asarray(), np.float64)
+            try:
+                pixels = page.asarray()
+            except (
+                ValueError
+            ):  # a packing that tifffile leaves to another package, as LZW: libtiff in Pillow has it
+                with Image.open(path) as image:
+                    pixels = np.asarray(image)
+            height = np.asarray(pixels, np.float64)
             tags = {tag.code: tag.value for tag in page.tags.values()}
     except Exception as error:
-        raise SceneError(f"{path.name}: not a readable TIFF ({error})") from error
+        raise SceneError(
+            f"{path.name}: not a readable TIFF ({error}); `gdal_translate -co COMPRESS=DEFLATE {path.name} NEW.tif` repacks one"
+        ) from error
     if height.ndim != 2:
         raise SceneError(
             f"{path.name}: heights are one number per cell, this picture has {height.shape}: export one band"

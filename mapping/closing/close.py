@@ -22,6 +22,10 @@ from mapping.relocalise import ENOUGH, PriorMap, locate
 DRIFT = np.array([0.02, 0.02, 0.03, math.radians(0.05)])
 """Of odometry by the root of a metre: x, y, z [m], yaw [rad]. In 70 m of new corridor it was 0.01, 0.13, 0.014 m and
 0.16 deg off, which is a third of that; wheels that slip and impacts of simulated physics made 0.02 m in 6 m of it."""
+STEADY = np.array([1e-6, 1e-6, 0.0005, math.radians(0.0035)])
+"""What odometry is wrong by all along a run, by the metre, as `DRIFT`: twice the climb and half as much again as the
+bend of those 70 m. Of lengths no loop tells: one of another size closes as well. Where loops may be is searched by
+`DRIFT` alone."""
 LOOP_SIGMA = np.array([0.04, 0.04, 0.04, math.radians(0.3)])
 """Of a registration: x, y, z [m], yaw [rad]. Its own error is 0.006 m and 0.05 deg; the map of a keyframe is bent by
 the drift within it."""
@@ -81,9 +85,9 @@ class Closing:
         self, recording: Recording, params: ElevationConfig, origin: Array, drift: float = 1.0
     ) -> None:
         """origin (4,): x, y, z [m], yaw [rad] of the first run's `odom` in `map`. drift: how many times more than
-        `DRIFT` the odometry drifts."""
+        `DRIFT` and `STEADY` the odometry drifts."""
         self._recording, self._params = recording, params
-        self._drift = drift * DRIFT
+        self._drift, self._steady = drift * DRIFT, drift * STEADY
         self.keyframes = keyframes_of(recording.scans)
         self._around = Surroundings(recording, params)
         self._verifier = Verifier(self.keyframes, self._around)
@@ -94,7 +98,9 @@ class Closing:
                 self.graph.begin(after(origin, frame.place) if k == 0 else frame.place)
             else:
                 way = math.sqrt(max(frame.along - before.along, 0.1))
-                self.graph.drive(between(before.place, frame.place), self._drift * way)
+                self.graph.drive(
+                    between(before.place, frame.place), self._drift * way, frame.along - before.along
+                )
         self.matches: list[Match] = []
         """Of the loops of the graph, in its order."""
         self.refused: list[Refusal] = []
@@ -120,7 +126,7 @@ class Closing:
         self._doubt()
         for match in self._waiting:
             self._refuse(match, "alone: no other loop near it says the same")
-        weights = self.graph.solve() if len(self.keyframes) else np.empty(0)
+        weights = self.graph.solve(self._steady) if len(self.keyframes) else np.empty(0)
         edges = self.graph.loops
         off = edges.errors(self.graph.nodes) * edges.sigma
         loops = [

@@ -4,12 +4,15 @@ map.
 Gauss-Newton on the sparse normal equations (scipy, SuperLU). Loops count by Cauchy's weight, odometry in full: a loop
 that contradicts all others loses its say, and `PoseGraph.solve` tells how much each kept. The same factors give the
 covariance of any two nodes, which says where a loop may be.
+
+Odometry errs twice: a little at every step (each edge's sigma), and the same way all along a run (`steady`: it bends, it
+climbs). The second grows with the way, not with its root; loops tell how large it was.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -91,6 +94,8 @@ class PoseGraph:
         """(n, 4) x, y, z [m], yaw [rad]: as added, then as solved."""
         self._priors: list[tuple[int, Array, Array]] = []
         self._odometry: list[tuple[int, int, Array, Array]] = []
+        self._ways: list[tuple[int, float]] = []
+        """Of each edge of odometry: its run, and how long it is [m]."""
         self._loops: list[tuple[int, int, Array, Array]] = []
         self._factors: SuperLU | None = None
 
@@ -100,12 +105,13 @@ class PoseGraph:
         self._priors.append((len(self.nodes), np.asarray(pose, np.float64), np.array(sigma)))
         return self._append(np.asarray(pose, np.float64))
 
-    def drive(self, relative: ArrayLike, sigma: ArrayLike) -> int:
-        """The next node of the run: `relative` (4,) to the newest by odometry, standard deviations (4,). Returns its
-        number."""
+    def drive(self, relative: ArrayLike, sigma: ArrayLike, way: float = 0.0) -> int:
+        """The next node of the run: `relative` (4,) to the newest by odometry, standard deviations (4,), `way` [m] on.
+        Returns its number."""
         last = len(self.nodes) - 1
         measured = np.asarray(relative, np.float64)
         self._odometry.append((last, last + 1, measured, np.asarray(sigma, np.float64)))
+        self._ways.append((len(self._priors) - 1, way))
         return self._append(after(self.nodes[last], measured))
 
     def _append(self, pose: Array) -> int:
@@ -134,23 +140,38 @@ class PoseGraph:
         """Of all runs."""
         return _edges(self._odometry)
 
-    def solve(self) -> Array:
+    def solve(self, steady: ArrayLike | None = None) -> Array:
         """Move the nodes to where odometry and loops put them; returns the weight of each loop (m,), 1 for one that
-        fits, 0 for one that does not."""
-        odometry, loops = self.odometry, self.loops
+        fits, 0 for one that does not. steady (4,): standard deviations of what odometry is wrong by all along a run, by
+        the metre: ahead, to the left, up, heading [rad]; None: by nothing."""
+        measured, loops, n = self.odometry, self.loops, len(self.nodes)
+        run, way = np.array(self._ways).reshape(-1, 2).T
+        wrong = np.zeros((len(self._priors), 4))
         for _ in range(STEPS):
             weight = _weights(loops.errors(self.nodes))
-            self._factors, gradient = self._normal(odometry, loops, weight)
-            step = self._factors.solve(-gradient).reshape(-1, 4)
-            self.nodes = self.nodes + step
+            odometry = replace(measured, relative=measured.relative + wrong[run.astype(int)] * way[:, None])
+            told = None if steady is None else (wrong, np.asarray(steady, np.float64))
+            factors, gradient = self._normal(odometry, loops, weight, told)
+            step = factors.solve(-gradient).reshape(-1, 4)
+            self.nodes = self.nodes + step[:n]
             self.nodes[:, 3] = wrap(self.nodes[:, 3])
-            if np.abs(step).max(initial=0.0) < SMALL:
+            wrong = wrong if steady is None else wrong + step[n:]
+            if np.abs(step[:n]).max(initial=0.0) < SMALL:
                 break
+        self._factors = factors if steady is None else None
         return _weights(loops.errors(self.nodes))
 
-    def _normal(self, odometry: Edges, loops: Edges, weight: Array) -> tuple[SuperLU, Array]:
-        """Factors of the normal equations, and the gradient (4n,)."""
-        n = len(self.nodes)
+    def _normal(
+        self,
+        odometry: Edges,
+        loops: Edges,
+        weight: Array,
+        steady: tuple[Array, Array] | None = None,
+    ) -> tuple[SuperLU, Array]:
+        """Factors of the normal equations, and the gradient (4n,). `steady`: what each run is thought to be wrong by
+        all along (r, 4), and its standard deviations; then both are of n nodes and r runs."""
+        nodes = len(self.nodes)
+        n = nodes + (0 if steady is None else len(self._priors))
         gradient = np.zeros((n, 4))
         rows, cols, values = [], [], []
 
@@ -166,18 +187,25 @@ class PoseGraph:
                 jacobian / edges.sigma[:, :, None] for jacobian in jacobians(self.nodes[i], self.nodes[j])
             )
             error = edges.errors(self.nodes) * share[:, None]
-            np.add.at(gradient, i, np.einsum("mab,ma->mb", by_i, error))
-            np.add.at(gradient, j, np.einsum("mab,ma->mb", by_j, error))
-            for p, one in ((i, by_i), (j, by_j)):
-                for q, other in ((i, by_i), (j, by_j)):
+            parts = [(i, by_i), (j, by_j)]
+            if edges is odometry and steady is not None:
+                run, way = np.array(self._ways).reshape(-1, 2).T
+                parts.append((nodes + run.astype(int), -np.eye(4) * (way[:, None] / edges.sigma)[:, :, None]))
+            for p, one in parts:
+                np.add.at(gradient, p, np.einsum("mab,ma->mb", one, error))
+                for q, other in parts:
                     enter(p, q, np.einsum("mab,mac,m->mbc", one, other, share))
+        if steady is not None:
+            wrong, sigma = steady
+            gradient[nodes:] += wrong / sigma**2
+            own = nodes + np.arange(len(wrong))
+            enter(own, own, np.broadcast_to(np.diag(sigma**-2.0), (len(wrong), 4, 4)))
         for node, pose, sigma in self._priors:
             off = self.nodes[node] - pose
             off[3] = wrap(off[3])
             gradient[node] += off / sigma**2
             enter(np.array([node]), np.array([node]), np.diag(sigma**-2.0)[None])
-        parts = (np.concatenate(x) for x in (values, rows, cols))
-        value, row, col = parts
+        value, row, col = (np.concatenate(x) for x in (values, rows, cols))
         return splu(csc_matrix((value, (row, col)), shape=(4 * n, 4 * n))), gradient.reshape(-1)
 
     def apart(self, first: int, second: int) -> tuple[Array, Array]:

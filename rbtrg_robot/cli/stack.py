@@ -98,8 +98,6 @@ def up(
         for name in without:
             if name not in BY_NAME:
                 raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
-        if scene is not None and Path(scene).is_file():
-            scene = str(Path(scene).resolve())  # `goal NAME` may be said in another folder
         loaded = load(
             config,
             [*(set_ or ()), *([] if console_port is None else [f"console.port={console_port}"])],
@@ -113,7 +111,7 @@ def up(
             interface=interface,
             dry_run=dry_run or None,
             viewer=viewer or None,
-            map_file=str(map_file.resolve()) if map_file else None,
+            map_file=str(map_file) if map_file else None,
             without=tuple(without) if without else None,
             seed=seed,
             record=False if no_record else None,
@@ -121,6 +119,7 @@ def up(
             port=port,
             scene_options=chosen(resolution, height_range, units, up, start) or None,
         )
+        loaded = placed(loaded)
         if render is not None and not (loaded.simulated and loaded.record):
             raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
         if loaded.viewer and not loaded.simulated:
@@ -138,6 +137,12 @@ def up(
 
             draw(folder, render)
         raise typer.Exit(code)
+
+
+def placed(config: StackConfig) -> StackConfig:
+    """Files with their folder, whoever named them: `goal NAME` and `log film` may be said in another one."""
+    named = {key: value for key in ("scene", "map_file") if Path(value := getattr(config, key)).is_file()}
+    return config.model_copy(update={key: str(Path(value).resolve()) for key, value in named.items()})
 
 
 def refuse_second(robot: str) -> None:

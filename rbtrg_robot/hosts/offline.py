@@ -166,7 +166,7 @@ def _needs(config: StackConfig) -> dict[str, tuple[tuple[Topic, ...], ...]]:
     return {
         "odometry": odometry[config.odometry.without],
         "elevation": ((t.ODOM,), clouds),
-        "planner": ((t.MAP_UPDATE, t.MAP_FULL, t.MAP_MIRROR),),
+        "planner": ((t.MAP_UPDATE,),),
         "guard": ((t.MAP_WINDOW,),),
         "tracker": ((t.PATH_COMMAND,),),
     }

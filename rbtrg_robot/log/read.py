@@ -151,7 +151,9 @@ def log_files(path: Path) -> list[Path]:
         written = [file for file in path.glob("*.mcap") if file.stat().st_size]
         files = sorted(written, key=lambda p: (len(p.name), p.name))
         if not files:
-            raise LogError(f"no .mcap file in {path}")
+            others = [name for end in ("db3", "bag") for name in path.glob(f"*.{end}*")]
+            foreign = "; `rbtrg-robot import` reads the bag that is there" if others else ""
+            raise LogError(f"no .mcap file in {path}{foreign}")
         return files
     if not path.exists():
         raise LogError(f"there is no {path}")

@@ -6,10 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from hal.rotation import wrap
 from hal.types import Array
-from mapping.closing.graph import PoseGraph, after, back, between, jacobians
+from mapping.closing.graph import CAUCHY, HELD, Edges, PoseGraph, after, back, between, jacobians
 
 SIGMA = np.array([0.02, 0.02, 0.03, 0.001])
 LOOP = np.array([0.04, 0.04, 0.04, 0.005])
@@ -154,3 +155,56 @@ def test_a_second_run_is_free_until_a_loop_holds_it() -> None:
     graph.solve()
     np.testing.assert_allclose(between(graph.nodes[2], graph.nodes[first]), [0.5, 0.0, 0.0, 0.2], atol=1e-3)
     assert graph.apart(0, first)[1][0, 0] < 1.0
+
+
+STEADY = np.array([1e-6, 1e-6, 0.0005, 0.00006])
+
+
+def bent(truth: Array, wrong: Array, loops: list[tuple[int, int]]) -> PoseGraph:
+    """Odometry that is wrong by the same all along, and exact loops."""
+    graph = PoseGraph()
+    graph.begin(truth[0])
+    for a, b in pairwise(truth):
+        way = float(np.linalg.norm(b[:2] - a[:2]))
+        graph.drive(between(a, b) + wrong * way, SIGMA, way)
+    for first, second in loops:
+        graph.close(first, second, between(truth[first], truth[second]), LOOP)
+    return graph
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_odometry_is_wrong_by_all_along_is_told_from_what_it_is_wrong_by_now_and_then(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wrong = STEADY * (0.0, 0.0, *rng.choice((-2.0, 2.0), 2))
+    truth = 4.0 * circle(150, 1.2)
+    truth[:, 3] /= 4.0
+    loops = [(k, k + 125) for k in range(0, 24, 4)]
+    plain, told = bent(truth, wrong, loops), bent(truth, wrong, loops)
+    plain.solve()
+    weights = told.solve(STEADY)
+    assert off(told.nodes, truth) < 0.25 * off(plain.nodes, truth)
+    assert weights.min() > 0.9
+
+
+def test_a_graph_with_steady_errors_is_the_least_squares_of_a_plain_oracle() -> None:
+    rng = np.random.default_rng(5)
+    truth = circle(9, 1.1)
+    loops = [(0, 8), (1, 8)]
+    graph = bent(truth, 30.0 * STEADY, loops)
+    ways = np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1)
+    measured = graph.odometry
+    for first, second, relative, _ in graph._loops:
+        relative += 0.02 * rng.standard_normal(4) * (first == 1 and second == 8)
+
+    def errors(x: Array) -> Array:
+        nodes, wrong = x[:-4].reshape(-1, 4), x[-4:]
+        odometry = Edges(
+            measured.first, measured.second, measured.relative + ways[:, None] * wrong, measured.sigma
+        ).errors(nodes)
+        closed = graph.loops.errors(nodes)
+        robust = np.sqrt(CAUCHY**2 * np.log1p((closed**2).sum(axis=1) / CAUCHY**2))
+        return np.concatenate([odometry.ravel(), robust, (nodes[0] - truth[0]) / HELD, wrong / STEADY])
+
+    want = least_squares(errors, np.concatenate([graph.nodes.ravel(), np.zeros(4)]), xtol=1e-14, ftol=1e-14)
+    graph.solve(STEADY)
+    np.testing.assert_allclose(graph.nodes, want.x[:-4].reshape(-1, 4), atol=1e-4)

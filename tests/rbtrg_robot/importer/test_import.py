@@ -405,6 +405,11 @@ def test_a_rerun_says_at_once_what_a_log_lacks(tmp_path: Path) -> None:
     both = foreign.write(tmp_path / "named", [*named, *((t.IMU.name, *m[1:]) for m in foreign.imu(0.3))])
     with pytest.raises(LogError, match=r"not as we record it: .*`rbtrg-robot import` reads it"):
         rerun(both, ["odometry"], tmp_path / "c.mcap")
+    with pytest.raises(LogError, match=r"holds no /elevation_map/update .*which planner needs"):
+        rerun(both, ["planner"], tmp_path / "d.mcap")  # what it publishes itself is no map to plan on
+    db3 = foreign.write(tmp_path / "db3", foreign.sweeps("ouster", 3), "db3")
+    with pytest.raises(LogError, match=r"no .mcap file in .*`rbtrg-robot import` reads the bag"):
+        rerun(db3, ["odometry"], tmp_path / "e.mcap")
 
 
 @needs_shared

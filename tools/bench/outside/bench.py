@@ -26,7 +26,7 @@ from rbtrg_robot.importer.run import convert_bag, look
 from rbtrg_robot.log.read import read_run
 from rbtrg_robot.log.trajectory import of_run
 from rbtrg_robot.wire.messages import decode
-from tools.bench.outside import files, foreign
+from tools.bench.outside import beside, files, foreign
 from tools.bench.report import Report
 
 SCANS = 20
@@ -37,10 +37,18 @@ def run(args: list[str]) -> Report:
     """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench outside", description=__doc__)
     parser.add_argument("--data", type=Path, help="folder of public data")
+    parser.add_argument(
+        "--beside",
+        action="store_true",
+        help="one drive of ours by ours, KISS-ICP and rko-lio, and nothing else",
+    )
     options = parser.parse_args(args)
     report = Report("outside")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        if options.beside:
+            beside.compare(report, folder)
+            return report
         for layout in (*foreign.LAYOUTS, "livox custom", "organised"):
             key = layout.replace(" ", "_")
             bag = foreign.write(folder / f"{key}_bag", foreign.sweeps(layout, 3))
@@ -98,6 +106,8 @@ def _refusals(report: Report, folder: Path) -> None:
     ambiguous = foreign.write(folder / "two", two)
     nothing = foreign.write(folder / "nothing", [foreign.static("a", "b", (0.0, 0.0, 0.0))])
     unread = foreign.write(folder / "unread", foreign.sweeps("ouster", 2))
+    db3 = foreign.write(folder / "db3_unread", foreign.sweeps("ouster", 2), "db3")
+    named = foreign.write(folder / "named", foreign.sweeps("ouster", 2, t.POINTS.name))
     (folder / "stub.mcap").write_text("version https://git-lfs.github.com/spec/v1\n")
     (folder / "stub.ply").write_text("version https://git-lfs.github.com/spec/v1\n")
     np.save(folder / "dem.npy", np.zeros((50, 60)))
@@ -108,6 +118,16 @@ def _refusals(report: Report, folder: Path) -> None:
             "rerun_of_a_foreign_bag",
             "rbtrg-robot import",
             lambda: rerun(unread, ["odometry"], folder / "x.mcap"),
+        ),
+        (
+            "rerun_of_a_db3_folder",
+            "rbtrg-robot import",
+            lambda: rerun(db3, ["odometry"], folder / "x.mcap"),
+        ),
+        (
+            "planner_without_a_map",
+            "holds no /elevation_map/update",
+            lambda: rerun(named, ["planner"], folder / "x.mcap"),
         ),
         ("lfs_bag", "git lfs pull", lambda: Bag(folder / "stub.mcap")),
         ("lfs_scene", "git lfs pull", lambda: load_scene(folder / "stub.ply")),

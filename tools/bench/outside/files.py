@@ -4,12 +4,15 @@ them."""
 from __future__ import annotations
 
 import socket
+import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Schema
+from PIL import Image, TiffImagePlugin
 from rosbags.highlevel import AnyReader
 
 from hal.scenes import load_scene
@@ -114,6 +117,17 @@ def _tif(folder: Path) -> bool:
     return _holed(folder / "a.tif")
 
 
+def _packed_tif(folder: Path, packing: str, predictor: int) -> bool:
+    """As GDAL packs its elevation models."""
+    about = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, values in ((33550, (0.2, 0.2, 0.0)), (33922, (0.0, 0.0, 0.0, 100.0, 50.0, 0.0))):
+        about[tag], about.tagtype[tag] = values, 12
+    about[317] = predictor
+    path = folder / f"{packing}_{predictor}.tif"
+    Image.fromarray(_heights()).save(path, compression=packing, tiffinfo=about)
+    return _holed(path)
+
+
 def _npy(folder: Path) -> bool:
     np.save(folder / "a.npy", _heights())
     return _holed(folder / "a.npy", resolution=0.2)
@@ -195,6 +209,29 @@ def _rolled(folder: Path) -> bool:
     return report.messages == 3 and report.seconds < 1.0 and len(report.jumps) == 2
 
 
+def _huge(folder: Path) -> bool:
+    """What 9 GB hold is told from their summary: between its head and its end the file is a hole, which nobody can read
+    as messages."""
+    path, hole = folder / "huge.mcap", 9_000_000_000
+    with LogWriter(path, {"scene": "flat"}) as writer:
+        for stamp in range(1, 101):
+            writer.write(t.HEARTBEAT, encode(msg.Heartbeat()), stamp, stamp)
+    data = path.read_bytes()
+    start, offsets, crc = struct.unpack("<QQI", data[-28:-8])
+    with path.open("r+b") as file:
+        file.truncate(start)
+        file.seek(start + hole)
+        file.write(data[start:-28] + struct.pack("<QQI", start + hole, offsets + hole, crc) + data[-8:])
+    begin = time.process_time()
+    found = overview(path)
+    return (
+        found.topics[t.HEARTBEAT.name].count == 100
+        and found.size > hole
+        and not found.damage
+        and time.process_time() - begin < 1.0
+    )
+
+
 def _run_is_a_bag(folder: Path) -> bool:
     """rosbags opens the folder of a run as it is."""
     run = folder / "run"
@@ -218,6 +255,8 @@ CASES: dict[str, Check] = {
     "las": lambda f: _las(f, "a.las"),
     "laz": lambda f: _las(f, "a.laz"),
     "geotiff_nodata": _tif,
+    "geotiff_lzw": lambda f: _packed_tif(f, "tiff_lzw", 2),
+    "geotiff_deflate_of_floats": lambda f: _packed_tif(f, "tiff_adobe_deflate", 3),
     "npy_nodata": _npy,
     "grid_map_in_a_bag": _grid_map,
     "numpy_array_planned_on": _array,
@@ -228,4 +267,5 @@ LOGS: dict[str, Check] = {
     "zeros_behind_the_end": _zeros,
     "stamps_that_roll_over": _rolled,
     "run_is_a_rosbag2": _run_is_a_bag,
+    "nine_gigabytes_by_their_summary": _huge,
 }

@@ -25,7 +25,7 @@ class CameraConfig(BaseModel):
         description="robot: the simulator's, or the one in the robot's head; off: none; rtsp://..., http://..., "
         "v4l2:/dev/videoN: another one (extra `camera`)",
     )
-    name: Literal["front"] = "front"
+    name: Literal["front"] = Field("front", description="of the camera: in topics and frames")
     mount: Extrinsics = Field(FRONT, description="in base_link [m, rad], x along the view")
     width: int = Field(320, ge=64, le=1920, description="of a simulated picture [pixels]")
     height: int = Field(240, ge=48, le=1080, description="of a simulated picture [pixels]")

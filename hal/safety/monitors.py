@@ -3,7 +3,7 @@ reads.
 
 The code that judges asks the row (`outside`, `tell`) and spells no limit and no sentence of its own. Checks that are no
 rows yet, such as the gate's timeouts, tilt, fence and stop zone, stand in the code and in `docs/operate/safety.md`.
-`docs/operate/monitors.md` is this table as a page; the health of processes and `tools.bench faults` read it. A limit that an
+The site shows this table as a page; the health of processes and `tools.bench faults` read it. A limit that an
 operator may set stands in the configuration, and the row names its field.
 """
 

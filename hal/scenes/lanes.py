@@ -6,7 +6,7 @@ back (`folded`), and the same with a dead end (`fork`). Forty seeds in a row hol
 element once. Level 1 asks for a third of the controller's envelope, level 4 for all of it. In level 5 one element of
 the way is beyond what the controller's capabilities allow: such a lane must be refused.
 
-docs/measurements/results.md names the first seeds that nobody has driven: they are neither run nor drawn nor looked at
+docs/measurements/lanes.json names the first seeds that nobody has driven: they are neither run nor drawn nor looked at
 before a result is taken, and no test uses seeds from 200 on."""
 
 from __future__ import annotations

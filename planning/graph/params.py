@@ -25,7 +25,10 @@ class GraphSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    mode: Literal["corrected", "native"] = "corrected"
+    mode: Literal["corrected", "native"] = Field(
+        default="corrected",
+        description="corrected: the project's graph; native: the published one, for comparison",
+    )
     expand_dist: float = Field(default=0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
     robot_size: float = Field(
         default=0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"

@@ -1,5 +1,6 @@
-"""`python -m tools.bench NAME [options] [--json]`: run one benchmark, print its rows, exit 1 on a missed limit, 130 where it is ended before.
+"""`python -m tools.bench NAME [options] [--json] [--record FILE]`: run one benchmark and print its rows.
 
+Exit status 1: a limit is missed; 130: it was ended. `--record FILE` also writes docs/measurements/FILE.json, which the site shows.
 SIGTERM ends it as Ctrl-C does, so that no stack that it started is left behind.
 """
 
@@ -7,11 +8,16 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import re
+import shlex
 import signal
 import sys
+from pathlib import Path
 
 import tools.bench
 from hal.errors import OperatorError
+
+MEASUREMENTS = Path(__file__).resolve().parents[2] / "docs" / "measurements"
 
 
 def main(argv: list[str]) -> int:
@@ -28,6 +34,14 @@ def main(argv: list[str]) -> int:
     args = argv[1:]
     as_json = "--json" in args
     args = [a for a in args if a != "--json"]
+    file = ""
+    if "--record" in args:
+        at = args.index("--record")
+        file = args[at + 1] if at + 1 < len(args) else ""
+        if not re.fullmatch(r"[a-z0-9_]+", file):
+            print("error: --record wants a name of small letters, digits and _", file=sys.stderr)
+            return 2
+        del args[at : at + 2]
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         report = importlib.import_module(f"tools.bench.{argv[0]}").run(args)
@@ -38,6 +52,10 @@ def main(argv: list[str]) -> int:
         print(f"error: {argv[0]} was interrupted before its rows were known", file=sys.stderr)
         return 130
     print(report.to_json() if as_json else report.to_text())
+    if file:
+        report.record(
+            MEASUREMENTS / f"{file}.json", shlex.join(["python", "-m", "tools.bench", argv[0], *args])
+        )
     return 0 if report.ok else 1
 
 

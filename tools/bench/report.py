@@ -7,6 +7,10 @@ import math
 import os
 import platform
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rbtrg_robot.provenance import commit
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,21 @@ class Report:
             for r in self.rows
         ]
         return json.dumps({"bench": self.bench, "machine": machine(), "rows": rows}, indent=1)
+
+    def record(self, file: Path, command: str) -> None:
+        """Write the rows with title, command, date, commit and machine. Title and note of a file that is there stay."""
+        past = json.loads(file.read_text()) if file.exists() else {}
+        told = {
+            "bench": self.bench,
+            "title": past.get("title", self.bench),
+            "command": command,
+            "date": datetime.now(UTC).date().isoformat(),
+            "commit": commit(),
+            "machine": machine(),
+            "note": past.get("note", ""),
+            "rows": json.loads(self.to_json())["rows"],
+        }
+        file.write_text(json.dumps(told, indent=1) + "\n")
 
     def to_text(self) -> str:
         """A table for people; a row that misses its limit is marked."""

@@ -1,6 +1,6 @@
 """Rescue lanes from seeds, driven by the whole stack in lockstep: goals reached, falls, refusals, detours, touched walls.
 
-One line per trial goes to `--out` (JSON); trials that stand in it are not driven again. docs/measurements/results.md names the first unused seeds.
+One line per trial goes to `--out` (JSON); trials that stand in it are not driven again. docs/measurements/lanes.json names the first unused seeds.
 """
 
 from __future__ import annotations

@@ -24,7 +24,8 @@ PACKAGES = ("hal", "mapping", "planning", "tools")
 FACTS = "robot.yaml"
 """Numbers that kernels beside it freeze."""
 _IMPORT = re.compile(
-    rf"^(?:from[ ]+((?:{'|'.join(PACKAGES)})[\w.]*)[ ]+import[ ]+(\([^)]*\)|.*)|import[ ]+((?:{'|'.join(PACKAGES)})[\w.]*))",
+    rf"^(?:from[ ]+((?:{'|'.join(PACKAGES)})[\w.]*)[ ]+import[ ]+(\([^)]*\)|.*)"
+    rf"|import[ ]+((?:{'|'.join(PACKAGES)})[\w.]*))",
     re.M,
 )
 """An import at the top of a file: what a kernel calls, or freezes as a constant, must be known there."""

@@ -1,3 +1,3 @@
 """The middleware: topics, processes, bus, messages, supervisor, stages, recorder, replay, CLI."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -80,11 +80,13 @@ class NetworkConfig(BaseModel):
     )
     join: bool = Field(
         False,
-        description="use the router that listens on `port` already, a zenohd or that of another robot's stack, instead of bringing one",
+        description="use the router that listens on `port` already, a zenohd or that of another robot's "
+        "stack, instead of bringing one",
     )
     open_bus: bool = Field(
         False,
-        description="with a real robot: every user of this computer, ROS tools and stacks that join have all rights on `port`, as in simulation; else they look and stop",
+        description="with a real robot: every user of this computer, ROS tools and stacks that join have all "
+        "rights on `port`, as in simulation; else they look and stop",
     )
     keys: str = Field(
         "", description="folder of the robot's certificate; empty = `robot` where `keys init` puts it"
@@ -126,7 +128,8 @@ class StackConfig(BaseModel):
     )
     policy_dir: str = Field(
         "",
-        description="of a controller that learnt: a folder in rl_sar's layout, a file of `tools.train` or the name of a fetched one; "
+        description="of a controller that learnt: a folder in rl_sar's layout, a file of `tools.train` or "
+        "the name of a fetched one; "
         "empty: the robot's own",
     )
     lidars: tuple[LidarConfig, ...] = Field(
@@ -234,7 +237,8 @@ class StackConfig(BaseModel):
             or not own.width <= body.width <= own.width + 0.57
         ):
             raise ValueError(
-                f"body: the robot is {own.length} m long and {own.width} m wide: larger, up to {own.length + 0.8:.1f} and "
+                f"body: the robot is {own.length} m long and {own.width} m wide: larger, up to "
+                f"{own.length + 0.8:.1f} and "
                 f"{own.width + 0.57:.1f} m, where it carries something"
             )
         if wrong := too_far(self.own_parts, own.length, own.width):
@@ -262,7 +266,8 @@ class StackConfig(BaseModel):
         fastest, most = self.guard.fastest(), self.capabilities().max_vx
         if most > fastest + 1e-6:
             raise ValueError(
-                f"`guard.reaction` and `guard.deceleration` stop a robot of {fastest:.2f} m/s before what the guard sees, and this one drives "
+                f"`guard.reaction` and `guard.deceleration` stop a robot of {fastest:.2f} m/s before what "
+                "the guard sees, and this one drives "
                 f"{most:.2f} m/s"
             )
         return self
@@ -514,7 +519,10 @@ def explain(error: ValidationError) -> str:
         return first["msg"].removeprefix("Value error, ")
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if key.startswith("network.listen."):
-        return f"configuration key 'network.listen': {first['input']!r} is not tls/ADDRESS:PORT; nothing else is served{more}"
+        return (
+            f"configuration key 'network.listen': {first['input']!r} is not tls/ADDRESS:PORT; nothing "
+            f"else is served{more}"
+        )
     if first["type"] == "extra_forbidden":
         return f"there is no configuration key {key!r}; `rbtrg-robot config show` lists them{more}"
     return f"configuration key {key!r}: {first['msg']}, got {first['input']!r}{more}"

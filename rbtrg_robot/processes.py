@@ -37,7 +37,8 @@ class Process:
 
 # fmt: off
 PROCESSES: tuple[Process, ...] = (
-    #       name         entry                                            period  hang  farewell  stops_motion  what its loss means for motion                                                  restores
+    # name         entry                                            period  hang  farewell  stops_motion  what its loss
+    # means for motion                                                  restores
     Process("robot",     "rbtrg_robot.hosts.robot:main",                  0.005,   3.0,      3.5, False,        "no robot: nothing moves; hardware stops by its own watchdog",                  (t.ROBOT_STATE, t.TRUTH, t.AREAS)),
     Process("odometry",  "rbtrg_robot.stages.odometry:build",             0.1,     3.0,      1.6, True,         "no pose: robot stops at once",                                                 (t.ODOM, t.CLOUD, t.TF_STATIC)),
     Process("elevation", "rbtrg_robot.stages.elevation:build",            0.1,    15.0,      1.6, True,         "blind: robot stops at once",                                                   (t.MAP_STATUS, t.AREAS)),

@@ -25,7 +25,8 @@ def run_dir() -> Path:
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
         raise UnsafeFolder(
-            f"{path} belongs to somebody else or is writable by others: remove it, or set XDG_RUNTIME_DIR to a folder of yours"
+            f"{path} belongs to somebody else or is writable by others: remove it, or set XDG_RUNTIME_DIR to "
+            "a folder of yours"
         )
     path.chmod(0o700)  # one of before may be open to readers
     return path

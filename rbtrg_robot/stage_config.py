@@ -137,7 +137,8 @@ class ElevationStageConfig(BaseModel):
     finder: str = Field(
         "branch_and_bound",
         pattern=PATTERN,
-        description="who finds the robot in a prior map: the project's, an installed finder (entry point of rbtrg.finders) or package.module:function (docs/extend.md)",
+        description="who finds the robot in a prior map: the project's, an installed finder (entry point of "
+        "rbtrg.finders) or package.module:function (docs/extend.md)",
     )
 
 
@@ -149,7 +150,8 @@ class PlannerConfig(BaseModel):
     method: str = Field(
         "rb_trg",
         pattern=PATTERN,
-        description="rb_trg: the project's planner; an installed planner (entry point of rbtrg.planners) or package.module:function (docs/extend.md)",
+        description="rb_trg: the project's planner; an installed planner (entry point of rbtrg.planners) or "
+        "package.module:function (docs/extend.md)",
     )
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
         "full", description="rb_trg: cost variant of the search"
@@ -160,13 +162,15 @@ class PlannerConfig(BaseModel):
     turning: float = Field(
         0.3,
         ge=0.0,
-        description="cost of a turn [m/rad]; half of the way at 0.5 m/s in the time of a turn at 0.8 rad/s; 0 = as in the paper",
+        description="cost of a turn [m/rad]; half of the way at 0.5 m/s in the time of a turn at 0.8 rad/s; "
+        "0 = as in the paper",
     )
     accept_risk: float = Field(
         0.2,
         ge=0.0,
         le=1.0,
-        description="largest probability that a route fails with which its goal is driven to; above it the goal is refused unless it was sent with --accept",
+        description="largest probability that a route fails with which its goal is driven to; above it the "
+        "goal is refused unless it was sent with --accept",
     )
     update_period: float = Field(
         2.0,
@@ -182,7 +186,8 @@ class RecorderConfig(BaseModel):
 
     profile: Literal["full", "standard", "lean"] = Field(
         "standard",
-        description="standard: odometry and map can be made again, sweeps packed; full: everything; lean: no clouds, no re-run",
+        description="standard: odometry and map can be made again, sweeps packed; full: everything; lean: no "
+        "clouds, no re-run",
     )
     flush_period: float = Field(
         0.25, gt=0, description="most that a killed recorder loses, beside what comes until it is back [s]"
@@ -209,7 +214,8 @@ class CommsConfig(BaseModel):
     )
     on_loss: Literal["continue", "hold", "return"] = Field(
         "continue",
-        description="then: go on, stand until one is, or come home along the trail until one is; a mission may have its own",
+        description="then: go on, stand until one is, or come home along the trail until one is; a mission "
+        "may have its own",
     )
 
 

@@ -14,7 +14,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-# A shell that starts the tests in the background ignores Ctrl-C, and so would every process that a test starts and interrupts.
+# A shell that starts the tests in the background ignores Ctrl-C, and so would every process that a test starts and
+# interrupts.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -95,7 +96,8 @@ def _draw_noise_anew(noise: int) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest first; the others in the order of collection, those that wait spread evenly among those that compute."""
+    """The longest first; the others in the order of collection, those that wait spread evenly among those that
+    compute."""
     here = Path(__file__).parent
     files = list(dict.fromkeys(item.path for item in items))
     place = {here / name: float(number - len(LONGEST_FIRST)) for number, name in enumerate(LONGEST_FIRST)}

@@ -161,3 +161,29 @@ def test_every_setting_has_a_description():
         return found
 
     assert not bare(StackConfig(), "")
+
+
+def orders(text: str) -> list[list[str]]:
+    """The words of every `rbtrg-robot ...` in code."""
+    code = re.findall(r"`(rbtrg-robot [^`\n]+)`", text)
+    code += re.findall(r"^ {4,}(?:uv run |sudo \S*/)?(rbtrg-robot [^\n#]+)", text, flags=re.M)
+    return [re.split(r"\s+", re.sub(r"[\[\]]", " ", line).strip())[1:] for line in code]
+
+
+@pytest.mark.parametrize("file", FOR_USERS, ids=name)
+def test_every_command_exists_with_its_options(file):
+    import typer
+
+    from rbtrg_robot.cli.main import app
+
+    wrong = []
+    for words in orders(file.read_text()):
+        command = typer.main.get_command(app)
+        rest = list(words)
+        while hasattr(command, "commands") and rest and rest[0] in command.commands:
+            command = command.commands[rest.pop(0)]
+        known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help", "--version"}
+        strange = [w for w in rest if w.startswith("--") and w.partition("=")[0].rstrip(",") not in known]
+        if strange or (words and words[0].islower() and command is typer.main.get_command(app)):
+            wrong.append(" ".join(words))
+    assert not wrong

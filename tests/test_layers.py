@@ -46,29 +46,42 @@ ROOMS: dict[str, str] = {
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "hal mapping planning planning.risk planning.search",
     "planning.tracking": "hal planning",
-    "rbtrg_robot": "hal hal.envelope hal.robots hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
+    "rbtrg_robot": "hal hal.envelope hal.robots hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree "
+    "mapping mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
     "rbtrg_robot.wire": "hal hal.safety.monitors mapping mapping.elevation rbtrg_robot",
     "rbtrg_robot.access": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.stages.stage": "rbtrg_robot",
-    "rbtrg_robot.stages.navigation": "hal hal.safety hal.safety.monitors rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
-    "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage rbtrg_robot.stages.navigation",
-    "rbtrg_robot.stages": "hal hal.envelope hal.robots hal.safety hal.safety.monitors mapping mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines planning.graph planning.path "
+    "rbtrg_robot.stages.navigation": "hal hal.safety hal.safety.monitors rbtrg_robot rbtrg_robot.wire "
+    "rbtrg_robot.stages.stage",
+    "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
+    "rbtrg_robot.stages.navigation",
+    "rbtrg_robot.stages": "hal hal.envelope hal.robots hal.safety hal.safety.monitors mapping "
+    "mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines planning.graph "
+    "planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.missions": "hal rbtrg_robot rbtrg_robot.stages.mission",
-    "rbtrg_robot.orders": "hal mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.navigation rbtrg_robot.missions",
+    "rbtrg_robot.orders": "hal mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.navigation "
+    "rbtrg_robot.missions",
     "rbtrg_robot.bridge": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.orders",
     "rbtrg_robot.log": "hal hal.scenes mapping.elevation hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.importer": "hal mapping hal.lidar hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.log",
-    "rbtrg_robot.hosts": "hal hal.scenes mapping mapping.closing mapping.elevation mapping.odometry planning planning.path planning.risk hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot rbtrg_robot.wire "
+    "rbtrg_robot.hosts": "hal hal.scenes mapping mapping.closing mapping.elevation mapping.odometry planning "
+    "planning.path planning.risk hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot "
+    "rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",
-    "rbtrg_robot.process": "hal hal.safety hal.safety.monitors hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.stages.mission rbtrg_robot.log "
+    "rbtrg_robot.process": "hal hal.safety hal.safety.monitors hal.unitree rbtrg_robot rbtrg_robot.wire "
+    "rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.stages.mission rbtrg_robot.log "
     "rbtrg_robot.hosts",
     "rbtrg_robot.console": "hal hal.safety mapping mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.access "
-    "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
-    "rbtrg_robot.cli": "hal hal.robots.check hal.robots hal.mujoco.view hal.scenes hal.unitree mapping.elevation planning.baselines rbtrg_robot "
-    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts rbtrg_robot.process "
+    "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts "
+    "rbtrg_robot.process",
+    "rbtrg_robot.cli": "hal hal.robots.check hal.robots hal.mujoco.view hal.scenes hal.unitree "
+    "mapping.elevation planning.baselines rbtrg_robot "
+    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions "
+    "rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts "
+    "rbtrg_robot.process "
     "rbtrg_robot.console",
 }
 FLOORS = ("hal", "mapping", "planning", "rbtrg_robot", "tools")

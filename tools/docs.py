@@ -1,4 +1,5 @@
-"""The pages of docs/reference, made from the code: `mkdocs build` calls `on_files`. `python -m tools.docs NAME` prints one."""
+"""The pages of docs/reference, made from the code: `mkdocs build` calls `on_files`. `python -m tools.docs NAME` prints
+one."""
 
 from __future__ import annotations
 
@@ -126,7 +127,8 @@ def configuration() -> str:
 
     head = """# Configuration
 
-`up --config FILE` reads YAML, `--set a.b=c` sets one key, and the options of `up` come last. `config show` prints what counts, `config schema` the JSON schema.
+`up --config FILE` reads YAML, `--set a.b=c` sets one key, and the options of `up` come last.
+`config show` prints what counts, `config schema` the JSON schema.
 
 """
     return head + "\n".join(walk(StackConfig(), ""))
@@ -159,7 +161,10 @@ def topics() -> str:
         "profiles that record it",
         "what",
     )
-    text = "# Topics and messages\n\nFrom `rbtrg_robot/topics.py`. *From outside*: the role that may publish it from another computer.\n\n"
+    text = (
+        "# Topics and messages\n\nFrom `rbtrg_robot/topics.py`. *From outside*: the role that may publish "
+        "it from another computer.\n\n"
+    )
     text += table(heads, rows)
     for file in sorted((ROOT / "rbtrg_robot" / "wire" / "msgs" / "rbtrg_msgs").glob("*.msg")):
         text += f"\n## rbtrg_msgs/msg/{file.stem}\n\n```\n{file.read_text().strip()}\n```\n"
@@ -184,7 +189,10 @@ def http() -> str:
                     cell(call["summary"]),
                 )
             )
-    text = "# HTTP\n\n[A program of your own](../extend.md#a-program-of-your-own) shows how to come in. `GET /api` gives this as OpenAPI.\n\n"
+    text = (
+        "# HTTP\n\n[A program of your own](../extend.md#a-program-of-your-own) shows how to come in. `GET "
+        "/api` gives this as OpenAPI.\n\n"
+    )
     text += table(("method", "path", "body", "what"), rows)
     for name, shape in sorted(told["components"]["schemas"].items()):
         needed = shape.get("required", [])
@@ -229,11 +237,13 @@ def monitors() -> str:
 
     head = """# Monitors
 
-The checks of inputs, from `hal/safety/monitors.py`. [Safety](../operate/safety.md) has the limits of the gate, [hazards](hazards.md) all hazards.
+The checks of inputs, from `hal/safety/monitors.py`. [Safety](../operate/safety.md) has the limits
+of the gate, [hazards](hazards.md) all hazards.
 `python -m tools.bench faults --without MONITOR` shows what each one is good for.
 
-Consequences, from the mildest on: *tell* (`status` says it), *degrade* (the input is not used), *hold* (zero velocity while it lasts),
-*latch* (zero velocity until `resume`), *lost* (the pose is unknown, the goal ends), *refuse* (the message, the file or the start).
+Consequences, from the mildest on: *tell* (`status` says it), *degrade* (the input is not used),
+*hold* (zero velocity while it lasts), *latch* (zero velocity until `resume`),
+*lost* (the pose is unknown, the goal ends), *refuse* (the message, the file or the start).
 
 """
     heads = (
@@ -271,7 +281,14 @@ What the benches measured on the simulated robot. A rate comes with its trials a
 
 """
     for file in sorted((ROOT / "docs" / "measurements").glob("*.json")):
-        told = {"title": file.stem, "command": "", "date": "", "commit": "", "machine": "", "note": ""} | json.loads(file.read_text())
+        told = {
+            "title": file.stem,
+            "command": "",
+            "date": "",
+            "commit": "",
+            "machine": "",
+            "note": "",
+        } | json.loads(file.read_text())
         where = ", ".join(
             filter(None, (told["date"], told["commit"] and f"commit `{told['commit']}`", told["machine"]))
         )

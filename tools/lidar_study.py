@@ -1,4 +1,5 @@
-"""Which LiDAR gives the best map ahead of a Go2-W? Odometry and elevation map on synthetic runs, compared with the truth.
+"""Which LiDAR gives the best map ahead of a Go2-W? Odometry and elevation map on synthetic runs, compared with the
+truth.
 
     python -m tools.lidar_study [--seconds 30] [--png docs/images/lidar.png]
 

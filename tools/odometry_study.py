@@ -2,7 +2,8 @@
 
     python -m tools.odometry_study [--scene yard] [--lidar xt16] [--goals 6,0]
 
-Where the synthetic runs of `tools.bench perception` have wheels that roll, here they slip, and impacts shake the IMU. Goals are x, y
+Where the synthetic runs of `tools.bench perception` have wheels that roll, here they slip, and impacts shake the IMU.
+Goals are x, y
 [m] ahead and left of the start, separated by `;`; a goal that the robot gives up ends its part of the drive.
 """
 
@@ -50,7 +51,8 @@ class RecordedDrive:
         yield from self.recorded
 
     def truth(self, stamps: NDArray[np.integer] | int) -> tuple[Array, Array]:
-        """Position (n, 3) [m] and orientation (n, 4) of base_link at `stamps` [ns], linear between the recorded ones."""
+        """Position (n, 3) [m] and orientation (n, 4) of base_link at `stamps` [ns], linear between the recorded
+        ones."""
         at = np.atleast_1d(np.asarray(stamps, np.int64))
         place, turned = (
             np.stack([np.interp(at, self.stamps, column) for column in values.T], axis=1)

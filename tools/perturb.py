@@ -2,8 +2,10 @@
 
     python -m tools.perturb [--seeds 10] [--generic] [TEST ...]
 
-Each round draws the noise of the simulated sensors anew and runs the tests; the table names those that failed, and in how many rounds.
-A drive is chaotic, so the last bits of another processor do what other noise does. `--generic` compiles the kernels for the plainest x86-64
+Each round draws the noise of the simulated sensors anew and runs the tests; the table names those that failed, and in
+how many rounds.
+A drive is chaotic, so the last bits of another processor do what other noise does. `--generic` compiles the kernels for
+the plainest x86-64
 and uses another BLAS kernel besides.
 """
 

@@ -96,7 +96,8 @@ class MeshCaster:
     """
 
     def __init__(self, vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> None:
-        """`vertices` (n, 3) [m], `triangles` (m, 3) indices into them. Raises CasterError where open3d does not load."""
+        """`vertices` (n, 3) [m], `triangles` (m, 3) indices into them. Raises CasterError where open3d does not
+        load."""
         try:
             import open3d  # heavy, and needs system libraries that a bare machine may lack
         except (ImportError, OSError) as error:

@@ -230,6 +230,7 @@ class LidarSimulator:
         limits = np.array([spec.min_range, spec.max_range, *errors, *MIXED_GAP])
         points = np.empty(n, POINT_DTYPE)
         m = measure(
-            sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, sweep.time, sweep.ring, spec.rings, draw, noise, limits, points
+            sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, sweep.time, sweep.ring, spec.rings, draw, noise,
+            limits, points
         )  # fmt: skip
         return LidarScan(sweep.start, points[:m], self.name)

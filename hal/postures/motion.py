@@ -61,7 +61,8 @@ def damped(kd: float = 3.0) -> LowCommand:
 
 
 def level_stance(legs: Legs, state: LowState, height: float = 0.33) -> Array:
-    """(16,) joint angles of a level trunk `height` [m] above ground that is parallel to the trunk now (it lies on it)."""
+    """(16,) joint angles of a level trunk `height` [m] above ground that is parallel to the trunk now (it lies on
+    it)."""
     up = np.array(up_of(state.quaternion))
     centres = wheel_centres(legs.limbs, legs.stand)
     # Seen from the level trunk the ground falls away along the horizontal part of the trunk's up axis.

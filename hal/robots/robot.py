@@ -51,10 +51,12 @@ class Lanes(BaseModel):
     model_config = _CHECKED
 
     within: dict[str, float] = Field(
-        description="largest that it drives over reliably with friction 0.6 to 1.0, no more than its capabilities declare"
+        description="largest that it drives over reliably with friction 0.6 to 1.0, no more than its "
+        "capabilities declare"
     )
     beyond: dict[str, tuple[float, float]] = Field(
-        description="least and most of what its capabilities forbid without doubt: 1.4 times the declared limit and more"
+        description="least and most of what its capabilities forbid without doubt: 1.4 times the declared "
+        "limit and more"
     )
 
     @model_validator(mode="after")

@@ -190,7 +190,8 @@ class Geofence:
 
 
 def _clipped(a: Corner, b: Corner, across: float) -> tuple[float, float]:
-    """Least and most x of the part of a side with y from -`across` to `across`; most is below least if there is none."""
+    """Least and most x of the part of a side with y from -`across` to `across`; most is below least if there is
+    none."""
     (x0, y0), (x1, y1) = sorted((a, b), key=lambda p: p[1])
     if y0 > across or y1 < -across:
         return math.inf, -math.inf

@@ -115,7 +115,8 @@ def _pattern(words: str) -> re.Pattern[str]:
 
 
 def raised(text: str) -> list[Monitor]:
-    """The monitors whose words stand in `text`: causes, holds and reasons travel as words, for people and logs alike."""
+    """The monitors whose words stand in `text`: causes, holds and reasons travel as words, for people and logs
+    alike."""
     return [monitor for monitor in MONITORS if _pattern(monitor.words).search(text)]
 
 

@@ -134,7 +134,8 @@ def _read_png(
 ) -> tuple[NDArray[np.float32], tuple[float, float]]:
     if resolution is None or height_range is None:
         raise SceneError(
-            f"{path.name}: a picture needs the heights of black and white, --height-range LOW HIGH, and --resolution METRES"
+            f"{path.name}: a picture needs the heights of black and white, --height-range LOW HIGH, and "
+            "--resolution METRES"
         )
     low, high = height_range
     if not (np.isfinite([low, high]).all() and low < high):

@@ -43,7 +43,8 @@ def needs(package: str, path: Path) -> Any:
         return import_module(package)
     except ImportError as error:
         raise SceneError(
-            f"{path.name}: reading {path.suffix} needs {package}: `uv sync --extra files` (or `pip install 'rbtrg-robot[files]'`)"
+            f"{path.name}: reading {path.suffix} needs {package}: `uv sync --extra files` (or `pip install "
+            "'rbtrg-robot[files]'`)"
         ) from error
 
 

@@ -41,7 +41,8 @@ def grid(
     modelling programs write them. Where there is none, the highest surface is the ground."""
     if np.abs(geometry.vertices).max() > MAX_COORDINATE:
         raise SceneError(
-            f"{name}: points lie more than {MAX_COORDINATE / 1000:.0f} km from the origin: shift the file to a local frame"
+            f"{name}: points lie more than {MAX_COORDINATE / 1000:.0f} km from the origin: shift the file to "
+            "a local frame"
         )
     low = np.floor(geometry.vertices.min(axis=0) / resolution) * resolution
     cols, rows = (np.ceil((geometry.vertices.max(axis=0) - low) / resolution)[:2] + 1).astype(int)
@@ -204,7 +205,8 @@ def place_start(
             break
     else:
         raise SceneError(
-            f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give one (`up --start X Y YAW`, `plan FILE X,Y`), coarser cells (--resolution), "
+            f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give one (`up --start X Y YAW`, "
+            "`plan FILE X,Y`), coarser cells (--resolution), "
             "or say what its numbers are (--units, --up)"
         )
     way = free | ((narrow < level) & (_share(known, 2) > 0.3))

@@ -109,7 +109,8 @@ def slopes() -> Scene:
 
 
 def platform() -> Scene:
-    """8.4 x 4.8: a 20 deg ramp over a 0.40 platform, or a lane with three curbs of 0.05 to 0.10, one of them at 45 deg."""
+    """8.4 x 4.8: a 20 deg ramp over a 0.40 platform, or a lane with three curbs of 0.05 to 0.10, one of them at 45
+    deg."""
     canvas = Canvas((0.0, 8.4, 0.0, 4.8), RESOLUTION)
     top, run = 0.40, 0.40 / tan(radians(20.0))
     canvas.ramp((2.0, 2.0 + run, 3.0, 4.2), 0.0, top, "+x")
@@ -159,7 +160,8 @@ def _pallet(canvas: Canvas, x: float, y: float, posts: np.ndarray) -> None:
 
 
 def steps() -> Scene:
-    """8.4 x 4.8: 3 x 3 stepfield pallets, then K-rails of 0.10 every 0.6; a flat detour 0.6 wide runs beside all of it."""
+    """8.4 x 4.8: 3 x 3 stepfield pallets, then K-rails of 0.10 every 0.6; a flat detour 0.6 wide runs beside all of
+    it."""
     canvas = Canvas((0.0, 8.4, 0.0, 4.8), RESOLUTION)
     random = np.random.default_rng(3)
     along = np.arange(10)

@@ -360,7 +360,10 @@ class UnitreeBackend:
         if self._guarded and (self._guardian is None or not self._guardian.alive()):
             return "guardian process lost: recover starts it again"
         if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
-            return f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check the mount in lidars"
+            return (
+                f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check the "
+                "mount in lidars"
+            )
         ignored = self._ignored(t, now)
         if ignored > o.ignored_timeout:
             return f"robot ignores Move for {ignored:.0f} s: request recover"

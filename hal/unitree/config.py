@@ -29,7 +29,8 @@ class UnitreeConfig(BaseModel):
     )
     tried: tuple[str, ...] = Field(
         default=(),
-        description="level low: controllers that were tried on this robot with its wheels off the ground; any other one gets "
+        description="level low: controllers that were tried on this robot with its wheels off the ground; "
+        "any other one gets "
         "a third of the torque and 0.2 m/s",
     )
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
@@ -76,7 +77,8 @@ class UnitreeConfig(BaseModel):
     )
     state_codes: dict[int, Literal["damped", "sitting", "standing", "ready"]] = Field(
         default={1001: "damped", 1002: "standing"},
-        description="sportmodestate's error_code -> posture, on firmware that tells it there; other codes leave it to mode and body_height",
+        description="sportmodestate's error_code -> posture, on firmware that tells it there; other codes "
+        "leave it to mode and body_height",
     )
     motion_mode: str = Field(default="ai-w", description="motion service selected when none is active")
     avoid_obstacles: bool = Field(

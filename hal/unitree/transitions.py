@@ -1,4 +1,5 @@
-"""Sequences of requests, one generator each: advanced once per tick, every wait bounded, every failure with a reason."""
+"""Sequences of requests, one generator each: advanced once per tick, every wait bounded, every failure with a
+reason."""
 
 from __future__ import annotations
 
@@ -246,7 +247,8 @@ class Transitions:
                 yield
             if self.now > deadline:
                 raise Failed(
-                    f"robot does not say that it balances ({self._telemetry.raw}); check that joystick and app are not in control, "
+                    f"robot does not say that it balances ({self._telemetry.raw}); check that joystick and "
+                    "app are not in control, "
                     "and that unitree.state_codes has the error_code of this firmware"
                 )
 

@@ -116,7 +116,8 @@ def _png(grid: ElevationGrid, out: Path, limits: Limits) -> None:
     Image.fromarray(pixels[::-1]).save(out)
     corner = [value - grid.resolution / 2 for value in grid.origin]
     out.with_suffix(".yaml").write_text(
-        f"image: {out.name}\nmode: trinary\nresolution: {grid.resolution:g}\norigin: [{corner[0]:.4f}, {corner[1]:.4f}, 0.0]\n"
+        f"image: {out.name}\nmode: trinary\nresolution: {grid.resolution:g}\norigin: [{corner[0]:.4f}, "
+        f"{corner[1]:.4f}, 0.0]\n"
         "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
 

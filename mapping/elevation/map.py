@@ -200,7 +200,8 @@ class ElevationMap:
         )  # fmt: skip
         k = fill_faces(
             self._z, self._weight, self._shared, self._slot, m, self._ends, self._ray, self._sensor,
-            p.surface_band, p.resolution, s.directory, s.first, s.tiles, s.shift, s.cells, s.mark, self._which, self._sums, k,
+            p.surface_band, p.resolution, s.directory, s.first, s.tiles, s.shift, s.cells, s.mark, self._which,
+            self._sums, k,
         )  # fmt: skip
         if sensor.levels and self._lay(k):
             return self.fuse(points, position, orientation, stamp, sensor, attitude_sigma, height_sigma)

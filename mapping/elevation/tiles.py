@@ -225,7 +225,8 @@ class TileStore:
         nc0, nc1 = (c0 if col_lo >= c0 else col_lo - 8), (c1 if col_hi <= c1 else col_hi + 8)
         if max(nr1 - nr0, nc1 - nc0) > WIDEST:
             raise MapError(
-                f"tile ({row_lo}, {col_lo}) is more than {WIDEST} tiles away from what the map holds: is the pose right?"
+                f"tile ({row_lo}, {col_lo}) is more than {WIDEST} tiles away from what the map holds: is the "
+                "pose right?"
             )
         grown = np.full((nr1 - nr0 + 1, nc1 - nc0 + 1), -1, dtype=np.int32)
         grown[r0 - nr0 : r1 - nr0 + 1, c0 - nc0 : c1 - nc0 + 1] = self.directory

@@ -262,7 +262,10 @@ class HealthMonitor:
             elif (again or strange) and turned > math.degrees(TURN_SLACK + 3.0 * _sigma(prior[3:, 3:])):
                 bad = f"the scan fits where the gyro does not lead, {turned:.0f} deg off"
             elif (again or strange) and not self.fits_again(match, young, self._only_asked(stamp, strange)):
-                bad = f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies on its surfaces"
+                bad = (
+                    f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies "
+                    "on its surfaces"
+                )
             elif match.overlap < s.overlap_low and not young:
                 weak = f"scan overlaps the map by {match.overlap:.0%}"
             elif match.inliers < s.inliers_low:

@@ -265,7 +265,8 @@ class LidarInertialOdometry:
             self._notes.append(against)
 
     def _calibrate(
-        self, since: int, before: Array, predicted: Array, pose: Array, covariance: Array, cloud: NDArray[np.float32], others: Mapping[LidarName, NDArray[np.float32]]
+        self, since: int, before: Array, predicted: Array, pose: Array, covariance: Array, cloud: NDArray[np.float32],
+        others: Mapping[LidarName, NDArray[np.float32]]
     ) -> None:  # fmt: skip
         """Compare the main LiDAR with the gyro, the others with the local map, and the ground that each sees with the
         wheels."""
@@ -278,7 +279,8 @@ class LidarInertialOdometry:
             self._notes += filter(None, [self.calibration.clock_fault()])
 
     def _look_for_parts(
-        self, sweep: Sweep, cloud: NDArray[np.float32], along: Sequence[Sweep], others: Mapping[LidarName, NDArray[np.float32]]
+        self, sweep: Sweep, cloud: NDArray[np.float32], along: Sequence[Sweep],
+        others: Mapping[LidarName, NDArray[np.float32]]
     ) -> None:  # fmt: skip
         """Sweeps as measured beside their clouds, which are at the end of the main one."""
         seen = [(sweep.name, [sweep], cloud)]

@@ -24,7 +24,8 @@ WINDOW = NS * 7 // 10
 MOVED, TURNED = 0.3, 0.2
 """Distance and turn of a robot that nobody watched for long, one standard deviation [m, rad]."""
 SWAYED, COASTED, PUSHED = 0.02, 0.4, 0.05
-"""For a moment alone it sways [m, rad], coasts for a while [s], and is pushed [m/s, rad/s]: without a pose the gate holds
+"""For a moment alone it sways [m, rad], coasts for a while [s], and is pushed [m/s, rad/s]: without a pose the gate
+holds
 it. On open ground scans tell the place worse than that."""
 
 
@@ -96,7 +97,8 @@ def start(
 
 
 def put_at(state: InertialFilter, before: Before) -> None:
-    """Move a filter that was just started to place and heading of `before`, with room for what the robot moved since."""
+    """Move a filter that was just started to place and heading of `before`, with room for what the robot moved
+    since."""
     pose, now = before.pose, state.pose()
     yaw = math.atan2(pose[1, 0], pose[0, 0]) - math.atan2(now[1, 0], now[0, 0])
     c, s = math.cos(yaw), math.sin(yaw)

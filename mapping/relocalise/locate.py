@@ -1,6 +1,7 @@
 """Where in a prior map does the robot stand? Search, register, verify, decide.
 
-submap ──> places that match the map's columns ──> registered exactly ──> what speaks for and against ──> one, several, none
+submap ──> places that match the map's columns ──> registered exactly ──> what speaks for and against ──> one, several,
+none
           (search: branch and bound)              (verify: small_gicp)    (verify)                        (here)"""
 
 from __future__ import annotations

@@ -149,7 +149,8 @@ def find_places(
     bins = np.zeros((-(-len(yaws) // turn_bins), -(-rows // per_bin), -(-cols // per_bin)), np.int32)
     best = np.empty((*bins.shape, 4), np.int32)
     found = branch_and_bound(
-        columns.occupied, columns.ground, offsets, words, window, int(LEAST * bits), KEEP, per_bin, turn_bins, bins, best
+        columns.occupied, columns.ground, offsets, words, window, int(LEAST * bits), KEEP, per_bin, turn_bins, bins,
+        best
     )  # fmt: skip
     keep = np.argwhere(bins >= max(1, int(KEEP * found)))
     keep = keep[np.argsort(-bins[tuple(keep.T)], kind="stable")]

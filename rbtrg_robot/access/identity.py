@@ -72,7 +72,8 @@ def client_tls(folder: Path) -> dict[str, Any]:
 
 
 def server_tls(folder: Path) -> dict[str, Any]:
-    """Zenoh's `transport.link.tls` of the robot's router: nobody connects without a certificate of the same authority."""
+    """Zenoh's `transport.link.tls` of the robot's router: nobody connects without a certificate of the same
+    authority."""
     return {
         "root_ca_certificate": str(folder / CA),
         "enable_mtls": True,

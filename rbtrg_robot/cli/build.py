@@ -81,7 +81,8 @@ def _tell(built: Built, out: Path) -> None:
     for loop in record["refused"]:
         say(f"refused  {loop['first']:4d} - {loop['second']:4d}  {loop['why']}")
     say(
-        f"{len(record['keyframes'])} keyframes, {len(record['closed'])} loops closed, {len(record['refused'])} refused; "
+        f"{len(record['keyframes'])} keyframes, {len(record['closed'])} loops closed, "
+        f"{len(record['refused'])} refused; "
         f"the way moved by up to {record['moved_m']:.2f} m and {record['moved_deg']:.2f} deg"
     )
     for log in record["not_in_the_map"]:

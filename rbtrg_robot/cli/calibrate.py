@@ -118,7 +118,8 @@ def _running(robot: str) -> bytes:
     file = Path(folder) / CONFIG
     if not folder or not file.is_file():
         raise ConfigError(
-            "the configuration of the running stack is not on this computer, or it records nothing: name its file with --config"
+            "the configuration of the running stack is not on this computer, or it records nothing: name its "
+            "file with --config"
         )
     return file.read_bytes()
 

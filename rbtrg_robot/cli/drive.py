@@ -52,7 +52,8 @@ def goal(
     ] = True,
     robot: Robot = ROBOT,
 ) -> None:
-    """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
+    """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed
+    out."""
     import time
 
     from rbtrg_robot.cli.link import connect, scene

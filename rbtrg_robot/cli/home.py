@@ -100,7 +100,8 @@ def _where(bus: Bus) -> tuple[float, float, float]:
     state = newest(bus)
     if not state.has_home:
         say(
-            "rbtrg-robot: where home is is not known: the robot does not know yet where it is; see `rbtrg-robot status`",
+            "rbtrg-robot: where home is is not known: the robot does not know yet where it is; see "
+            "`rbtrg-robot status`",
             error=True,
         )
         raise typer.Exit(1)

@@ -71,7 +71,8 @@ def import_bag(
     if not used(counts):
         raise ConfigError(f"nothing came out that a re-run can use; {out} holds what was handed on")
     say(
-        f"{sum(counts.values())} messages -> {out}; next: rbtrg-robot replay {out} --rerun odometry,elevation --out NEW.mcap"
+        f"{sum(counts.values())} messages -> {out}; next: rbtrg-robot replay {out} --rerun "
+        "odometry,elevation --out NEW.mcap"
     )
 
 

@@ -100,7 +100,8 @@ def replay(
     )
     if not total.messages and not stopped and not controls.quit:
         raise ConfigError(
-            f"nothing of {file} was played: it holds no topic of ours in that part; `rbtrg-robot import` makes a run of a foreign bag"
+            f"nothing of {file} was played: it holds no topic of ours in that part; `rbtrg-robot import` "
+            "makes a run of a foreign bag"
         )
 
 

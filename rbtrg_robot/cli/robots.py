@@ -47,7 +47,8 @@ def robot_show(which: Which = "", as_json: AsJson = False) -> None:
         f"  body       {body.length} x {body.width} m, {body.mass} kg, base_link {robot.height:.3f} m above ground"
     )
     say(
-        f"  stands on  {'wheels' if robot.wheeled else 'feet'} of {robot.limbs.radius} m, {2 * robot.limbs.tread:.3f} m apart"
+        f"  stands on  {'wheels' if robot.wheeled else 'feet'} of {robot.limbs.radius} m, "
+        f"{2 * robot.limbs.tread:.3f} m apart"
     )
     for lidar in robot.mounted(robot.lidars):
         assert lidar.mount is not None

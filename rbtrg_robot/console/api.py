@@ -181,9 +181,11 @@ CALLS = (
     Call("GET", "/api", "This description."),
     Call("GET", "/api/state", "The newest word of each part, and how old each topic is [s]."),
     Call("GET", "/api/photo", "A picture of now. Header `x-age`: seconds since its exposure.", media="image/jpeg"),
-    Call("GET", "/api/events", "What happens, as a stream (SSE): the id counts up, `Last-Event-ID` tells the newest that is known; without it those from now on.", media="text/event-stream"),
+    Call("GET", "/api/events", "What happens, as a stream (SSE): the id counts up, `Last-Event-ID` tells the "
+        "newest that is known; without it those from now on.", media="text/event-stream"),
     Call("POST", STOP, "The emergency stop, for every role. `state` of GET /api/state tells when the robot confirms."),
-    Call("POST", "/api/goal", "Drive to a place; answers once the robot moves or why not. `found.id` names the goal.", Goal, wish="goal"),
+    Call("POST", "/api/goal", "Drive to a place; answers once the robot moves or why not. `found.id` names "
+        "the goal.", Goal, wish="goal"),
     Call("POST", "/api/ask", "How would it go? The planner answers, nothing moves.", Place, wish="ask"),
     Call("POST", "/api/cancel", "Cancel the goal.", Nothing, wish="cancel"),
     Call("POST", "/api/resume", "Release the stop.", Nothing, wish="resume"),
@@ -193,7 +195,8 @@ CALLS = (
     Call("POST", "/api/explore", "See all ground of an area: a mission of its own.", Ground, wish="explore"),
     Call("POST", "/api/cover", "Drive over an area in lanes: a mission of its own.", Lanes, wish="cover"),
     Call("POST", "/api/mission", "Run a mission, or tell the one that is under way.", Mission, wish="mission"),
-    Call("POST", "/api/areas", "Where the robot stays in and keeps out of from now on. `areas` of GET /api/state tells.", Fence, wish="areas"),
+    Call("POST", "/api/areas", "Where the robot stays in and keeps out of from now on. `areas` of GET "
+        "/api/state tells.", Fence, wish="areas"),
     Call("POST", "/api/map", "Begin anew with a saved map.", MapName, wish="load map"),
     Call("POST", "/api/pose", "The robot stands there.", Pose, wish="set pose"),
     Call("POST", "/api/alive", "Go on operating: the lease ends after 2 s without a call.", Alive, wish="alive"),

@@ -73,7 +73,8 @@ def picture(message: msg.CompressedImage, facts: dict[str, Any]) -> bytes:
 
 
 def pose(message: msg.Odometry, frame: MapFrame, correction: float) -> dict[str, Any]:
-    """base_link in `map`: x, y, z [m], quaternion, heading [rad], speed [m/s, rad/s]. `correction` as in MapStatus [m]."""
+    """base_link in `map`: x, y, z [m], quaternion, heading [rad], speed [m/s, rad/s]. `correction` as in MapStatus
+    [m]."""
     place, turn = frame.pose3(xyz(message.pose.pose.position), xyzw(message.pose.pose.orientation))
     twist = message.twist.twist
     yaw = math.remainder(yaw_of(message.pose.pose.orientation) + frame.yaw, 2 * math.pi)

@@ -1,4 +1,5 @@
-"""Maps on the disk beside the runs: list, download, save the present one, load one; and where the robot stands on it."""
+"""Maps on the disk beside the runs: list, download, save the present one, load one; and where the robot stands on
+it."""
 
 from __future__ import annotations
 

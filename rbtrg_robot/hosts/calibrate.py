@@ -97,7 +97,8 @@ def calibrate(
             scans += sum(bool(scan.clouds) for scan in odometry.poll())
         if scans < NEEDED:
             raise CalibrationError(
-                f"only {scans} scans were registered: the robot must rest for a second, then move, with LiDAR, IMU and joints"
+                f"only {scans} scans were registered: the robot must rest for a second, then move, with "
+                "LiDAR, IMU and joints"
             )
         clocks = {fit.name: fit for fit in odometry.calibration.fits()}
         fits = odometry.calibration.mounts()

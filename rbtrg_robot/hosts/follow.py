@@ -1,4 +1,5 @@
-"""The host of a re-run on a live log: each stage takes what its process took, in that order, and ticks when it ticked."""
+"""The host of a re-run on a live log: each stage takes what its process took, in that order, and ticks when it
+ticked."""
 
 from __future__ import annotations
 

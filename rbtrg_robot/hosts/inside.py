@@ -112,7 +112,8 @@ def brief(message: Message) -> str:
 
 
 def place(stage: Stage, x: float, y: float) -> list[Row]:
-    """What it holds of x, y [m] in `map`: the cell of the elevation map; node, edges and their prices of the planner."""
+    """What it holds of x, y [m] in `map`: the cell of the elevation map; node, edges and their prices of the
+    planner."""
     if isinstance(stage, ElevationStage):
         return _cell(stage, x, y)
     if isinstance(stage, PlannerStage):

@@ -81,7 +81,8 @@ class Node:
             self._show(now)
 
     def _show(self, now: int) -> None:
-        """What is made for others alone is made while somebody listens, and never recorded: a re-run needs none of it."""
+        """What is made for others alone is made while somebody listens, and never recorded: a re-run needs none of
+        it."""
         due = now // SHOWN
         if self._shows is None or due == self._shown:
             return

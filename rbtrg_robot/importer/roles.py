@@ -47,9 +47,11 @@ class Role:
 ROLES = (
     Role("main", (CLOUD, *LIVOX), "no map; the place by wheels and IMU alone, which drifts"),
     Role("head", (CLOUD, *LIVOX), "nothing sees the ground at the feet"),
-    Role("imu", (msg.Imu.__msgtype__,), "LiDAR alone, at constant velocity: up is where the first scan had it, quick turns are found late"),
+    Role("imu", (msg.Imu.__msgtype__,), "LiDAR alone, at constant velocity: up is where the first scan had "
+        "it, quick turns are found late"),
     Role("joints", (msg.JointState.__msgtype__,), "no legs: no height of the ground below the wheels"),
-    Role("wheels", (msg.Odometry.__msgtype__, msg.TwistStamped.__msgtype__), "nothing helps where the LiDAR sees too little"),
+    Role("wheels", (msg.Odometry.__msgtype__, msg.TwistStamped.__msgtype__), "nothing helps where the LiDAR "
+        "sees too little"),
     Role("tf", (msg.TFMessage.__msgtype__,), "mounts must be told (--mount, --urdf)"),
     Role("camera", ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"), "nothing: no stage reads one"),
     Role("fix", ("sensor_msgs/msg/NavSatFix",), "nothing: no stage reads one"),
@@ -276,7 +278,10 @@ def _main(probes: Mapping[str, Probe], chosen: Mapping[str, Probe]) -> Probe | N
 
 def _question(role: str, fitting: list[Probe]) -> str:
     lines = "; ".join(f"{p.source.topic} ({p.about})" for p in fitting)
-    return f"which topic is {role}? {lines}. Say --map {role}={fitting[0].source.topic} or another; --map {role}= for none"
+    return (
+        f"which topic is {role}? {lines}. Say --map {role}={fitting[0].source.topic} or another; --map "
+        f"{role}= for none"
+    )
 
 
 def turned(probe_: Probe, mount: np.ndarray) -> float:

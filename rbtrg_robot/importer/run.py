@@ -1,4 +1,5 @@
-"""Makes a run of ours from a foreign bag: our topics, types and frames. Topics without a role are copied bit for bit."""
+"""Makes a run of ours from a foreign bag: our topics, types and frames. Topics without a role are copied bit for
+bit."""
 
 from __future__ import annotations
 
@@ -144,7 +145,8 @@ def _clocks(found: Found) -> None:
         if abs(apart) > CLOCKS_APART:
             found.shifts[used[name].source.topic] = apart
             found.notes.append(
-                f"the clock of {name} differs from that of {reference} by {-apart / NS:.3f} s: its stamps are moved by that, "
+                f"the clock of {name} differs from that of {reference} by {-apart / NS:.3f} s: its stamps "
+                "are moved by that, "
                 "as they were recorded; what the line took stays in them"
             )
 
@@ -170,7 +172,8 @@ def _imu(found: Found, unit: str) -> None:
             f"{value:.3g}" for value in (*mount.translation, *np.degrees(rpy_of(level @ turn)).round() + 0.0)
         )
         found.notes.append(
-            f"the IMU's {'-' if force[up] < 0 else ''}{'xyz'[up]} axis points up, {math.degrees(angle):.0f} deg from base_link's z: "
+            f"the IMU's {'-' if force[up] < 0 else ''}{'xyz'[up]} axis points up, {math.degrees(angle):.0f} "
+            "deg from base_link's z: "
             f"its axes are others; --mount imu={better} turns them (the yaw is yours to say)"
         )
 
@@ -278,7 +281,8 @@ class Converter:
 def convert_bag(
     bag: Bag, found: Found, out: Path, progress: Callable[[int], None] = lambda _done: None
 ) -> dict[str, int]:
-    """Write the run folder `out`. Returns messages per topic; says in `found.notes` what was refused. Raises LogError."""
+    """Write the run folder `out`. Returns messages per topic; says in `found.notes` what was refused. Raises
+    LogError."""
     if out.exists():
         raise LogError(f"{out} exists; name another folder with --out")
     config = config_of(found)

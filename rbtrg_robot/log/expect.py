@@ -113,7 +113,8 @@ def understand(text: str) -> Expectation:
     found = _LINE.fullmatch(line)
     if not found:
         raise ExpectError(
-            f"{text!r} is no expectation: write `max tilt < 25`, `odometry.health == good` or `no plan longer than 1.3 x`"
+            f"{text!r} is no expectation: write `max tilt < 25`, `odometry.health == good` or `no plan "
+            "longer than 1.3 x`"
         )
     name, reduce, word = found["name"], found["reduce"] or "", found["value"].strip()
     if reduce == "count":

@@ -29,7 +29,8 @@ CONFIG = "config.yaml"
 LARGEST_CHUNK = 256 * 1024 * 1024
 """Bytes of a chunk that is read. Writers make them of 1 to 4 MiB; a few bytes may claim to be any number of them."""
 BROKEN = (
-    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, RuntimeError, struct.error,
+    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, RuntimeError,
+    struct.error,
 )  # fmt: skip
 """What reading a damaged file can raise; OverflowError: a length beyond 2^63; RuntimeError: of lz4."""
 

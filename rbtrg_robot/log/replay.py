@@ -48,7 +48,8 @@ def alone(bus: Bus) -> Callable[[], None]:
     def check() -> None:
         if came.is_set():
             raise ReplayError(
-                "a robot is live on this bus: a log is not played beside it; `rbtrg-robot down`, or bring the stack up with --without robot"
+                "a robot is live on this bus: a log is not played beside it; `rbtrg-robot down`, or bring "
+                "the stack up with --without robot"
             )
 
     if ROBOT in bus.processes():

@@ -1,4 +1,5 @@
-"""What a run holds, from the summaries at the end of its files: no message is read. A file without one is read whole."""
+"""What a run holds, from the summaries at the end of its files: no message is read. A file without one is read
+whole."""
 
 from __future__ import annotations
 

@@ -175,7 +175,8 @@ def compare(
     first, second = _associate(estimate, reference)
     if len(first) < 3:
         raise LogError(
-            f"the two trajectories have {len(first)} moments in common (within {1000 * TOGETHER:.0f} ms): are their clocks the same?"
+            f"the two trajectories have {len(first)} moments in common (within {1000 * TOGETHER:.0f} ms): "
+            "are their clocks the same?"
         )
     own, other = estimate.at(first), reference.at(second)
     p, q = own.poses, other.poses
@@ -197,7 +198,8 @@ def _associate(a: Trajectory, b: Trajectory) -> tuple[NDArray[np.int64], NDArray
     if not (a.timed and b.timed):
         if len(a.stamps) != len(b.stamps):
             raise LogError(
-                f"a KITTI file has no times: both must have as many poses, these have {len(a.stamps)} and {len(b.stamps)}"
+                f"a KITTI file has no times: both must have as many poses, these have {len(a.stamps)} and "
+                f"{len(b.stamps)}"
             )
         same = np.arange(len(a.stamps))
         return same, same

@@ -264,7 +264,8 @@ Step = Annotated[
     Discriminator(
         _kind,
         custom_error_type="step",
-        custom_error_message="a step is one of stand, sit, home, explore, cover, goto, wait, ask, look, record, photo, posture, loop",
+        custom_error_message="a step is one of stand, sit, home, explore, cover, goto, wait, ask, look, "
+        "record, photo, posture, loop",
     ),
 ]
 Rounds.model_rebuild()
@@ -286,7 +287,8 @@ class MissionFile(_Model):
     on_failure: OnFailureText = Field("stop", description="what a step without its own `on_failure` does")
     on_comms_loss: Literal["continue", "hold", "return"] | None = Field(
         None,
-        description="when no operator is in contact: go on, stand until one is, or come home until one is; None = comms.on_loss of the stack",
+        description="when no operator is in contact: go on, stand until one is, or come home until one is; "
+        "None = comms.on_loss of the stack",
     )
     comms_timeout: float | None = Field(
         None,

@@ -25,12 +25,14 @@ def open_bus(config: StackConfig, **ours: Any) -> Bus:
     try:
         if bus.second(SUPERVISOR):
             raise RobotTaken(
-                f"a stack of robot {config.robot!r} is on the router at {config.endpoint} already (domain {config.domain}): "
+                f"a stack of robot {config.robot!r} is on the router at {config.endpoint} already (domain "
+                f"{config.domain}): "
                 "end that one, or give this one another --robot"
             )
         if bus.second("replay"):
             raise RobotTaken(
-                f"a log is played on the router at {config.endpoint} (robot {config.robot!r}, domain {config.domain}): end that first"
+                f"a log is played on the router at {config.endpoint} (robot {config.robot!r}, domain "
+                f"{config.domain}): end that first"
             )
     except OperatorError:
         bus.close()

@@ -31,7 +31,8 @@ StartLimitIntervalSec=0
 Type=notify
 {user}ExecStart={up}
 # `down` tells the supervisor alone, which stops the robot first and the recorder last, and waits for the end.
-# After a crash of the supervisor every process gets SIGTERM and time: the robot process and its guardian stop the robot.
+# After a crash of the supervisor every process gets SIGTERM and time:
+# the robot process and its guardian stop the robot.
 ExecStop={down}
 KillMode=control-group
 TimeoutStartSec={start}
@@ -140,5 +141,6 @@ def write(path: Path, text: str) -> None:
         path.write_text(text)
     except OSError as error:
         raise ServiceError(
-            f"cannot write {path}: {error.strerror}; run it with sudo, as a service of yours with --user, or look at it with --dry-run"
+            f"cannot write {path}: {error.strerror}; run it with sudo, as a service of yours with --user, or "
+            "look at it with --dry-run"
         ) from error

@@ -174,7 +174,8 @@ class Location:
         elif verdict.answer == "open_ground":
             self._say(
                 State.ASSUMED,
-                f"nothing stands around here that {self._name} could be searched for: the robot is taken to stand where "
+                f"nothing stands around here that {self._name} could be searched for: the robot is taken to "
+                "stand where "
                 "the configuration says",
             )
         elif verdict.answer == "ambiguous":

@@ -1,4 +1,5 @@
-"""The map of now and the one graph on it, as the planner keeps them: a changed block of the map rebuilds only what it touches."""
+"""The map of now and the one graph on it, as the planner keeps them: a changed block of the map rebuilds only what it
+touches."""
 
 from __future__ import annotations
 
@@ -139,8 +140,10 @@ class MapGraph:
         return size if size <= WHOLE else min(size, 3 * round(place))
 
     def sample_anew(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
-        """A passage hardly wider than the robot may hold no edge of this graph: another one from other samples takes its place. On a large map these are other ones
-        around the robot at `start`, around the node that is nearest to the goal on the way that walls leave open, and around the `goal` x, y [m] alone."""
+        """A passage hardly wider than the robot may hold no edge of this graph: another one from other samples takes
+        its place. On a large map these are other ones
+        around the robot at `start`, around the node that is nearest to the goal on the way that walls leave open, and
+        around the `goal` x, y [m] alone."""
         grid, graph = self.ground(), self.graph
         self.seed += 1
         if graph is None or grid.height.size <= WHOLE:
@@ -156,7 +159,8 @@ class MapGraph:
         if self.graph is None or self.grid is None:
             raise NoRoute(
                 NoRouteReason.NO_TERRAIN,
-                "no ground around the robot is known yet: wait for the LiDAR, or drive it by hand, slowly, onto ground that it sees",
+                "no ground around the robot is known yet: wait for the LiDAR, or drive it by hand, slowly, "
+                "onto ground that it sees",
             )
         return self.grid
 
@@ -165,7 +169,8 @@ class MapGraph:
         return self.table.terrain if self.table is not None and self.table.grid is self.grid else None
 
     def search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:
-        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]; where the robot stands in one of them already, it counts no more: no way would lead out
+        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]; where the robot stands in one of them already, it
+        counts no more: no way would lead out
         of it. Raises PlanningError."""
         grid = self.ground()
         assert self.graph is not None

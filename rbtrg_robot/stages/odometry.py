@@ -192,7 +192,8 @@ class OdometryStage:
         )
 
     def _place(self, message: msg.PoseWithCovarianceStamped) -> Outputs:
-        """An operator tells the robot's pose in `map`. Ignored while it moves: the told place is old when it arrives."""
+        """An operator tells the robot's pose in `map`. Ignored while it moves: the told place is old when it
+        arrives."""
         place, odom = message.pose.pose.position, self._odom
         yaw = yaw_of(message.pose.pose.orientation)
         known = (

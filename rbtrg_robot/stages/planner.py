@@ -137,7 +137,8 @@ class PlannerStage:
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
         layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height))
-        # A goal on the map, again with what is driven and without, then one off it: the second needs no search, the third carries evaluations and search
+        # A goal on the map, again with what is driven and without, then one off it: the second needs no search, the
+        # third carries evaluations and search
         # over, the last looks for a frontier.
         for goal, driven in ((3.0, False), (3.0, True), (3.0, False), (9.0, False)):
             height = height.copy()

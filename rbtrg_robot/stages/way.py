@@ -34,7 +34,8 @@ NEAR = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later,
 may have one."""
 REDRAWS, AT_LEAST = 5, 2
-"""Other graphs that are searched at once; fewer, but some, where more cells than `WHOLE` would be drawn anew together."""
+"""Other graphs that are searched at once; fewer, but some, where more cells than `WHOLE` would be drawn anew
+together."""
 LOST = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may
 have been lost."""
@@ -177,7 +178,8 @@ class WaySearch:
             self._hidden.append(ahead_of(whole))
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
-            "every way leads over ground that the robot cannot see from where it stands: drive it by hand, slowly, to where it "
+            "every way leads over ground that the robot cannot see from where it stands: drive it by hand, "
+            "slowly, to where it "
             "sees the ground ahead, or choose another goal",
         )
 

@@ -145,7 +145,10 @@ class Bus(Refusals):
             if self._front is not None:
                 self._front.close()
             if "shm" in str(error):
-                what = "no shared memory for Zenoh: is /dev/shm full, or `mlock` forbidden (`ulimit -l`, a container's filter)?"
+                what = (
+                    "no shared memory for Zenoh: is /dev/shm full, or `mlock` forbidden (`ulimit -l`, a "
+                    "container's filter)?"
+                )
             elif router:
                 where = " or ".join((endpoint, *outside))
                 what = f"cannot listen on {where}: is another program using the port? Choose one with --port"

@@ -23,7 +23,8 @@ HEADER = b"\0\1\0\0"
 LONGEST = 2**30
 """Values of a list; more is taken for broken bytes."""
 _CODES = {
-    "bool": "?", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I",
+    "bool": "?", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I",
     "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
 _COUNT = Struct("<I")

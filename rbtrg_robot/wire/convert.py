@@ -264,7 +264,8 @@ def patch_msg(patch: MapPatch) -> msg.GridMap:
 
 
 def cost_msg(stamp: int, cost: NDArray[np.int8], ground: MapPatch) -> msg.OccupancyGrid:
-    """nav_msgs/OccupancyGrid of the cells of `ground` in `map`; `cost` (rows, cols), row 0 in the south, as ROS counts."""
+    """nav_msgs/OccupancyGrid of the cells of `ground` in `map`; `cost` (rows, cols), row 0 in the south, as ROS
+    counts."""
     rows, cols = cost.shape
     corner = [value - 0.5 * ground.resolution for value in ground.origin]
     return msg.OccupancyGrid(

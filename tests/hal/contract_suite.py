@@ -43,7 +43,8 @@ class Rig:
         robot: Robot | None = None,
         lift: Callable[[], object] | None = None,
     ) -> None:
-        """`tick` lets one host period pass and returns the source clock [ns]; `fall` throws the robot over; while `hinder`
+        """`tick` lets one host period pass and returns the source clock [ns]; `fall` throws the robot over; while
+        `hinder`
         is on it neither gets up nor lies down; `lift` puts one back on its feet that cannot get there by itself."""
         self.robot = robot or describe()
         self.lift = lift

@@ -227,7 +227,8 @@ def test_every_manoeuvres_parts_are_none_where_nothing_is() -> None:
 
 
 def whole(shrink: float = 1.0) -> Envelope:
-    """Every manoeuvre, passed 60 times of 60 at what is easy and failed as often at what is hard; sizes times `shrink`."""
+    """Every manoeuvre, passed 60 times of 60 at what is easy and failed as often at what is hard; sizes times
+    `shrink`."""
     sizes = {
         "up": (0.16, 0.32),
         "down": (0.20, 0.40),

@@ -21,7 +21,8 @@ FILES = {
         "from numba import njit\n\nfrom hal import (\n    leg,\n    size,\n)\n\nstep, width = leg.leg, size.WIDTH\n\n"
         "@njit(cache=True)\ndef body(x):\n    return step(x) * width\n"
     ),
-    "planning/robot.py": "from numba import njit\n\nfrom mapping.body import body\n\n@njit(cache=True)\ndef robot(x):\n    return body(x)\n",
+    "planning/robot.py": "from numba import njit\n\nfrom mapping.body import body\n\n@njit(cache=True)\ndef "
+    "robot(x):\n    return body(x)\n",
 }
 
 

@@ -160,7 +160,8 @@ def test_a_damaged_policy_is_read_or_refused(
 ) -> None:
     whole = bytearray(OURS.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
-        # Most of the file is numbers, whose damage its checksum tells: the ends and the headers between are of interest.
+        # Most of the file is numbers, whose damage its checksum tells: the ends and the headers between are of
+        # interest.
         at = data.draw(
             st.one_of(
                 st.integers(0, 400),

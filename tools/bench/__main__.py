@@ -1,6 +1,7 @@
 """`python -m tools.bench NAME [options] [--json] [--record FILE]`: run one benchmark and print its rows.
 
-Exit status 1: a limit is missed; 130: it was ended. `--record FILE` also writes docs/measurements/FILE.json, which the site shows.
+Exit status 1: a limit is missed; 130: it was ended. `--record FILE` also writes docs/measurements/FILE.json, which the
+site shows.
 SIGTERM ends it as Ctrl-C does, so that no stack that it started is left behind.
 """
 

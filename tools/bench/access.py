@@ -114,7 +114,8 @@ class Site:
     def arrived(self, session: zenoh.Session, names: list[str], mark: bytes) -> set[str]:
         """Which of these keys a put of the payload `mark` from outside reaches, at a process of the stack.
 
-        They are sent again until a stop that is sent after them arrives, where that may; all in one order, at one priority.
+        They are sent again until a stop that is sent after them arrives, where that may; all in one order, at one
+        priority.
         """
         last = (wire.key(t.ROBOT_STOP, Scope()), mark + b", the last")
         until = time.monotonic() + QUIET

@@ -1,7 +1,9 @@
 """Worlds of the BARN challenge, driven without a map by the whole stack: reached, touched, and the challenge's metric.
 
-The metric of a world is 0 unless the goal is reached without a touch within 100 s, else OT / clip(AT, 2 OT, 8 OT): OT is the
-shortest way at 2 m/s, AT the time that it took. It is 0.5 at most. Worlds come from the published rules, or from a folder of the
+The metric of a world is 0 unless the goal is reached without a touch within 100 s, else OT / clip(AT, 2 OT, 8 OT): OT
+is the
+shortest way at 2 m/s, AT the time that it took. It is 0.5 at most. Worlds come from the published rules, or from a
+folder of the
 challenge's own files.
 """
 

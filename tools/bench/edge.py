@@ -1,4 +1,5 @@
-"""A robot driven by hand towards an edge of half a metre: how far the body comes over it. Lockstep, judged by the truth."""
+"""A robot driven by hand towards an edge of half a metre: how far the body comes over it. Lockstep, judged by the
+truth."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ CARRIED: dict[str, list[dict[str, str]]] = {
 
 
 def push_to_edge(vx: float, lean: float, lidars: str, folder: Path) -> tuple[float, float]:
-    """Hold `vx` [m/s] until well after the edge, which leans by `lean` [rad]; how far [m] a corner of the body came over it, and the
+    """Hold `vx` [m/s] until well after the edge, which leans by `lean` [rad]; how far [m] a corner of the body came
+    over it, and the
     lowest base_link [m] above the ground on top.
     """
     way = math.copysign(1.0, vx)

@@ -1,7 +1,9 @@
 """A flood of connections to the doors of a robot: who needs how long to get in, and whether those who are in go on.
 
-Router: new sessions of an operator over TLS and of a process inside, a stop over a session of before, and the gaps between the messages of
-two processes inside, while 300 connections say nothing (Zenoh gives them up after 10 s), while 300 say nothing after TLS with a certificate
+Router: new sessions of an operator over TLS and of a process inside, a stop over a session of before, and the gaps
+between the messages of
+two processes inside, while 300 connections say nothing (Zenoh gives them up after 10 s), while 300 say nothing after
+TLS with a certificate
 that was taken off the list, and while others break off.
 Console: stops of fresh connections while others come, each with half a request.
 """

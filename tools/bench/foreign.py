@@ -1,4 +1,5 @@
-"""Ordinary places of people that nobody tuned the robot for, driven by the whole stack in lockstep: stairs, ramps, houses, and goals that
+"""Ordinary places of people that nobody tuned the robot for, driven by the whole stack in lockstep: stairs, ramps,
+houses, and goals that
 nothing leads to.
 
 One line per trial goes to `--out` (JSON); trials that stand in it are not driven again.
@@ -53,7 +54,8 @@ def run(args: list[str]) -> Report:
 
 
 def table(records: Iterable[dict[str, Any]]) -> Report:
-    """Rows `foreign.CONTROLLER.MAP.KIND.*`: rates with their trials; of goals that were reached medians of time [s] and of the length driven
+    """Rows `foreign.CONTROLLER.MAP.KIND.*`: rates with their trials; of goals that were reached medians of time [s] and
+    of the length driven
     over the shortest; of those that nothing leads to the share refused in time."""
     report = Report("foreign")
     groups: dict[str, list[dict[str, Any]]] = {}

@@ -1,4 +1,5 @@
-"""Named goals of scenes, driven by the whole stack in lockstep: reached, refused, falls. Seeds are those of the simulation.
+"""Named goals of scenes, driven by the whole stack in lockstep: reached, refused, falls. Seeds are those of the
+simulation.
 
 One line per trial goes to `--out` (JSON); trials that stand in it are not driven again.
 """
@@ -52,7 +53,8 @@ def run(args: list[str]) -> Report:
 
 
 def table(records: Iterable[dict[str, Any]]) -> Report:
-    """Rows `goals.CONTROLLER.MAP.SCENE.GOAL.*`: rates with their trials; time [s] as median over those that reached the goal."""
+    """Rows `goals.CONTROLLER.MAP.SCENE.GOAL.*`: rates with their trials; time [s] as median over those that reached the
+    goal."""
     report = Report("goals")
     groups: dict[str, list[dict[str, Any]]] = {}
     for record in sorted(records, key=lambda r: r["key"]):

@@ -1,9 +1,12 @@
-"""`kill -9` of every process in turn while the robot drives, or a signal that makes it hang: when the robot stands, when the process
+"""`kill -9` of every process in turn while the robot drives, or a signal that makes it hang: when the robot stands,
+when the process
 is back, what the goal does, and how much the log lacks.
 
 Rest is judged by the simulator's truth and clock; it is asked of the processes whose loss matters for motion.
-The killed robot process is the simulator itself here, so its body is gone until it is back. `supervisor` and `zygote` are no rows of the
-table: without the supervisor everything ends, robot process first, and the bench tells when; the zygote starts the others and nobody misses it
+The killed robot process is the simulator itself here, so its body is gone until it is back. `supervisor` and `zygote`
+are no rows of the
+table: without the supervisor everything ends, robot process first, and the bench tells when; the zygote starts the
+others and nobody misses it
 until one has to be started.
 """
 
@@ -44,7 +47,8 @@ AHEAD = 4.0
 ENDED = ("reached", "rejected", "aborted")
 ZYGOTE, SUPERVISOR, RECORDER = "zygote", "supervisor", "recorder"
 HELD = (5.0, 15.0)
-"""[s] for which the supervisor hangs: both longer than the lease of a Zenoh session (2 s); the second is longer than most limits of the supervisor."""
+"""[s] for which the supervisor hangs: both longer than the lease of a Zenoh session (2 s); the second is longer than
+most limits of the supervisor."""
 GONE = 10.0
 """Longest wait [s] for the end of what must not outlive the supervisor."""
 
@@ -113,7 +117,8 @@ def _live(
 
 
 def _in_lockstep(rows: list[Process], rounds: int, scene: str, seed: int, report: Report) -> None:
-    """The stages that stop motion die in turn at full speed. Each is back after half a second, and the next goal lies behind the robot."""
+    """The stages that stop motion die in turn at full speed. Each is back after half a second, and the next goal lies
+    behind the robot."""
     rested: dict[str, list[float]] = {row.name: [] for row in rows if row.stops_motion}
     lost = 0
     with Lockstep(load(None, ["sim.lidar_step=8"], scene=scene, seed=seed)) as stack:
@@ -211,7 +216,8 @@ class Watch:
 
 
 def _pids(watch: Watch) -> tuple[int, dict[str, int], list[int]]:
-    """The supervisor, the processes by name, the zygote (the supervisor's other child). Waits until none is being started."""
+    """The supervisor, the processes by name, the zygote (the supervisor's other child). Waits until none is being
+    started."""
     end = time.monotonic() + 10.0
     while True:
         status = json.loads(watch.ask())
@@ -259,7 +265,8 @@ def _kill_supervisor(watch: Watch, label: str, report: Report) -> None:
 
 
 def _hang_supervisor(watch: Watch, label: str, held: float, report: Report) -> None:
-    """Its router carries nothing meanwhile: the robot must stand. Nothing may be ended for the silence once it goes on."""
+    """Its router carries nothing meanwhile: the robot must stand. Nothing may be ended for the silence once it goes
+    on."""
     goal = watch.drive(f"hang-{label}")
     supervisor, known, _ = _pids(watch)
     os.kill(supervisor, signal.SIGSTOP)
@@ -280,7 +287,8 @@ def _hang_supervisor(watch: Watch, label: str, held: float, report: Report) -> N
     _, after, _ = _pids(watch)
     restarted = [name for name, pid in known.items() if after[name] != pid]
     print(
-        f"{label}: driven {driven:.2f} m, {watch.goal.state} after {time.monotonic() - began:.1f} s, restarted: {restarted}",
+        f"{label}: driven {driven:.2f} m, {watch.goal.state} after {time.monotonic() - began:.1f} s, "
+        f"restarted: {restarted}",
         flush=True,
     )
     report.add(f"restarted.{label}", len(restarted), "-", 0.0)
@@ -295,8 +303,10 @@ def _lives(process: psutil.Process) -> bool:
 
 
 def _has_all(status: Any, kept: Any) -> bool:
-    """The map of a restarted elevation process, whose scans count from 0, is what the one before had told; half a percent may be seen
-    anew. Stray cells are never told to the planner, and are not expected back: on ground that is being mapped a third of all."""
+    """The map of a restarted elevation process, whose scans count from 0, is what the one before had told; half a
+    percent may be seen
+    anew. Stray cells are never told to the planner, and are not expected back: on ground that is being mapped a third
+    of all."""
     anew = status.scans < kept.scans and not status.restoring
     return bool(anew and status.trusted_cells >= 0.995 * kept.trusted_cells)
 
@@ -327,7 +337,8 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
         if watch.goal.state in ENDED and not math.isnan(back + whole):
             break
     print(
-        f"{label}: brakes after {braking:.2f} s, at rest after {rest:.2f} s, back after {back:.1f} s, {watch.goal.state}",
+        f"{label}: brakes after {braking:.2f} s, at rest after {rest:.2f} s, back after {back:.1f} s, "
+        f"{watch.goal.state}",
         flush=True,
     )
     report.add(f"speed.{label}", speed, "m/s")
@@ -338,7 +349,8 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
     report.add(f"back_s.{label}", back, "s", 5.0 + (row.hang if hang else 0.0))
     if whole != 0.0:
         print(
-            f"{label}: {watch.map.trusted_cells} of {kept.trusted_cells} trusted cells after {whole:.1f} s; {watch.map.detail}",
+            f"{label}: {watch.map.trusted_cells} of {kept.trusted_cells} trusted cells after {whole:.1f} s; "
+            f"{watch.map.detail}",
             flush=True,
         )
         report.add(f"whole_map_s.{label}", whole, "s", 5.0 + (row.hang if hang else 0.0))

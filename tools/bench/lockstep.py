@@ -1,4 +1,5 @@
-"""The closed loop in lockstep: how fast it runs and where the time goes, and how well and how fast six goals on the yard are reached, by the truth."""
+"""The closed loop in lockstep: how fast it runs and where the time goes, and how well and how fast six goals on the
+yard are reached, by the truth."""
 
 from __future__ import annotations
 

@@ -69,7 +69,8 @@ class Report:
         return all(row.ok for row in self.rows)
 
     def to_json(self) -> str:
-        """`{"bench", "machine", "rows": [{"key", "value", "unit", "limit", "at_least", "baseline"}]}`; NaN and infinity become null."""
+        """`{"bench", "machine", "rows": [{"key", "value", "unit", "limit", "at_least", "baseline"}]}`; NaN and infinity
+        become null."""
         rows = [
             {
                 "key": r.key,
@@ -114,7 +115,8 @@ class Report:
 
 
 def least_rate(hits: int, trials: int, confidence: float = 0.8) -> float:
-    """One-sided Clopper-Pearson lower bound of a rate: below it, `hits` or more of `trials` have a chance of 1 - `confidence` at most."""
+    """One-sided Clopper-Pearson lower bound of a rate: below it, `hits` or more of `trials` have a chance of 1 -
+    `confidence` at most."""
     if hits == 0:
         return 0.0
     low, high = 0.0, 1.0

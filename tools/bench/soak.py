@@ -1,7 +1,9 @@
 """Hours of simulated driving in lockstep: does anything grow, slow down, or stay open?
 
-The robot drives between two places of a scene until the simulated time is over. Memory, CPU of each stage per simulated second, open
-descriptors and shared memory of this process are sampled once a simulated minute; the first quarter settles, the rest is fitted by a line.
+The robot drives between two places of a scene until the simulated time is over. Memory, CPU of each stage per simulated
+second, open
+descriptors and shared memory of this process are sampled once a simulated minute; the first quarter settles, the rest
+is fitted by a line.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ SAMPLE = 60.0
 COARSE = "sim.lidar_step=8"
 """A quarter of the points of the live simulation: the rays cost most of the time."""
 FRESH = "sim.battery_life=1e6"
-"""A battery of two hours stops the robot after 1.8 h, as it must: the rest of the soak would watch a robot that stands."""
+"""A battery of two hours stops the robot after 1.8 h, as it must: the rest of the soak would watch a robot that
+stands."""
 
 
 def run(args: list[str]) -> Report:
@@ -87,7 +90,8 @@ def run(args: list[str]) -> Report:
                 rows.append({k: 1e3 * (v - busy.get(k, 0.0)) / SAMPLE for k, v in spent.seconds.items()})
                 cpu, busy = now, dict(spent.seconds)
                 print(
-                    f"{60 * samples[-1][0]:.0f} min simulated, {samples[-1][1]:.0f} MB, {samples[-1][4]:.0f} ms CPU per s, goals {ended}",
+                    f"{60 * samples[-1][0]:.0f} min simulated, {samples[-1][1]:.0f} MB, {samples[-1][4]:.0f} "
+                    f"ms CPU per s, goals {ended}",
                     flush=True,
                 )
         hours, wall = (stack.seconds - first) / 3600.0, time.monotonic() - began

@@ -31,7 +31,8 @@ class SchedulerLost(OperatorError):
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Ctrl-C waits until the end. Processes that are started in here never hear it: this one ends them, and they write no traceback."""
+    """Ctrl-C waits until the end. Processes that are started in here never hear it: this one ends them, and they write
+    no traceback."""
     resource_tracker.ensure_running()  # it lets the signal through as it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
@@ -45,8 +46,10 @@ def spread(
 ) -> Iterator[Result]:
     """`function(*trial)` of every trial, in the order in which they finish.
 
-    `workers`: processes on this machine, 0 for this process; `scheduler`: address of a cluster to use instead. A trial whose worker
-    dies is given to another worker. What a trial raises is raised when all others are done (TrialsFailed), in this process at once.
+    `workers`: processes on this machine, 0 for this process; `scheduler`: address of a cluster to use instead. A trial
+    whose worker
+    dies is given to another worker. What a trial raises is raised when all others are done (TrialsFailed), in this
+    process at once.
     A scheduler that dies and is not back at its address within dask's time to connect (30 s) ends it (SchedulerLost).
     """
     if not trials:
@@ -102,6 +105,7 @@ def _outcome(future: Future[Result], scheduler: str) -> Result | BaseException:
             outcome = future.exception()
     if outcome is None:
         raise SchedulerLost(
-            f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; what is done is kept"
+            f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; "
+            "what is done is kept"
         )
     return outcome

@@ -1,4 +1,5 @@
-"""`python -m tools.train run --out DIR [--minutes N] [--resume]` trains a policy; `python -m tools.train evaluate POLICY` drives the envelope's
+"""`python -m tools.train run --out DIR [--minutes N] [--resume]` trains a policy; `python -m tools.train evaluate
+POLICY` drives the envelope's
 courses with it and, when it drives all of them, writes what it measured into the policy's header.
 """
 

@@ -1,4 +1,5 @@
-"""What a run needs to go on after it was interrupted: one file below 1 MB, written anew every few minutes. Adam's moments are not kept;
+"""What a run needs to go on after it was interrupted: one file below 1 MB, written anew every few minutes. Adam's
+moments are not kept;
 they are back after a few iterations in which the critic learns alone.
 """
 

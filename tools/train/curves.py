@@ -9,7 +9,8 @@ PICTURE = "curves.png"
 
 
 def draw(folder: Path) -> Path:
-    """Reward, level of each kind of ground, share of episodes passed and learning rate over the steps -> the picture."""
+    """Reward, level of each kind of ground, share of episodes passed and learning rate over the steps -> the
+    picture."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -24,13 +24,15 @@ SEEN = FRAME * len(AGES)
 SCAN = np.stack(np.meshgrid(np.linspace(-0.5, 0.9, 11), np.linspace(-0.4, 0.4, 5)), axis=-1).reshape(-1, 2)
 """(55, 2) places in the heading frame [m] whose heights the critic sees."""
 KNOWN = SEEN + 3 + len(SCAN) + 2
-"""Numbers that the critic sees: the same, the body's velocity, heights, which way the ground is its own (kind, level)."""
+"""Numbers that the critic sees: the same, the body's velocity, heights, which way the ground is its own (kind,
+level)."""
 TALL = 0.38
 """Height of the trunk over the ground from which the critic's heights are counted [m]."""
 BACKWARD = 7
 """One of so many robots in the lanes drives backward, as a robot that backs out of what it cannot pass."""
 DETOUR = (0.4, 1.5)
-"""[s] for which a robot in a lane is told to drive slower, to turn aside, or to stand, as the hybrid controller asks of a policy amid rubble..."""
+"""[s] for which a robot in a lane is told to drive slower, to turn aside, or to stand, as the hybrid controller asks of
+a policy amid rubble..."""
 DETOUR_EVERY = 3.0
 """... and the mean time [s] between two commands of this kind, and on open ground between any two."""
 LOW = (0.25, 0.13)
@@ -59,7 +61,8 @@ class Body:
 def rewards(
     body: Body, command: Array, action: NDArray[np.float32], before: NDArray[np.float32], layout: Layout
 ) -> dict[str, Array]:
-    """Terms of the reward (n,) without their weights. `command` (n, 3): vx, vy [m/s], wz [rad/s]; two outputs in a row."""
+    """Terms of the reward (n,) without their weights. `command` (n, 3): vx, vy [m/s], wz [rad/s]; two outputs in a
+    row."""
     v, wheels = body.velocity, body.dq[:, 12:]
     vx = command[:, 0]
     share = np.clip(v[:, 0] * np.sign(vx) / np.maximum(np.abs(vx), 0.1), -1.0, 1.0)
@@ -84,7 +87,8 @@ def rewards(
 
 
 def felt(acceleration: Array) -> Array:
-    """(n, 2) where an accelerometer sees the vertical, x and y of the world, under accelerations (n, 3) [m/s^2]; see `hal.mujoco.attitude`."""
+    """(n, 2) where an accelerometer sees the vertical, x and y of the world, under accelerations (n, 3) [m/s^2]; see
+    `hal.mujoco.attitude`."""
     force = acceleration + np.array([0.0, 0.0, GRAVITY])
     return force[:, :2] / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-6)
 
@@ -194,7 +198,8 @@ class Environment:
 
     # --- what they do -----------------------------------------------------------------------------------------------
     def step(self, output: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """One step with the policy's outputs (n, 16) -> reward, ended by its own fault, ended by time; those begin anew, all (n,)."""
+        """One step with the policy's outputs (n, 16) -> reward, ended by its own fault, ended by time; those begin
+        anew, all (n,)."""
         reward: Reward = self.settings.reward
         before = self.action
         self.action = np.clip(output, self.layout.lower, self.layout.upper)
@@ -263,7 +268,8 @@ class Environment:
         self._left[which] = 0.0
 
     def _draw(self, which: NDArray[np.int64]) -> None:
-        """New commands: one direction in lanes; anything on open ground, turns on the spot and zero among it. Detours come later."""
+        """New commands: one direction in lanes; anything on open ground, turns on the spot and zero among it. Detours
+        come later."""
         n, rng = len(which), self._rng
         free = self.kind[which] == OPEN
         spot = rng.random(n) < 0.3

@@ -1,4 +1,5 @@
-"""Many robots on one ground, stepped together by `mujoco.rollout`. Each has a body drawn from `Physics`: friction, mass, gains, delay."""
+"""Many robots on one ground, stepped together by `mujoco.rollout`. Each has a body drawn from `Physics`: friction,
+mass, gains, delay."""
 
 from __future__ import annotations
 
@@ -76,7 +77,8 @@ class Robots:
         self._rollout = rollout.Rollout(nthread=THREADS)
 
     def place(self, which: NDArray[np.int64], x: Array, y: Array, yaw: Array, speed: Array) -> None:
-        """Put robots on the ground, rolling forward at `speed` [m/s], a little shaken, each with another body; all (n,)."""
+        """Put robots on the ground, rolling forward at `speed` [m/s], a little shaken, each with another body; all
+        (n,)."""
         n, rng = len(which), self._rng
         q = self.layout.default + rng.normal(0.0, 0.04, (n, 16))
         state = np.zeros((n, self.state.shape[1]))
@@ -106,7 +108,8 @@ class Robots:
         self.state[which, 24:26] += kick
 
     def step(self, action: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """One policy step with clipped outputs (n, 16) -> (n,) True where the simulation broke down; such a robot stays where it was."""
+        """One policy step with clipped outputs (n, 16) -> (n,) True where the simulation broke down; such a robot stays
+        where it was."""
         new = self.control(action)
         control = np.repeat(self._control[:, None], self._steps, axis=1)
         for k in range(self._steps):

@@ -98,7 +98,8 @@ class Learner:
 
     # --- acting -----------------------------------------------------------------------------------------------------
     def act(self, known: Float32) -> tuple[Float32, Float32, Float32, Float32]:
-        """For (n, KNOWN): drawn outputs (n, 16), their log probability (n,), the mean outputs (n, 16), the values (n,)."""
+        """For (n, KNOWN): drawn outputs (n, 16), their log probability (n,), the mean outputs (n, 16), the values
+        (n,)."""
         self._key, key = jax.random.split(self._key)
         return tuple(np.asarray(v) for v in self._act(self.actor, self.critic, known, key))  # type: ignore[return-value]
 

@@ -1,7 +1,10 @@
-"""What the model-based controller does, written as outputs of the policy: the data that the first policy is cloned from.
+"""What the model-based controller does, written as outputs of the policy: the data that the first policy is cloned
+from.
 
-The robot is driven by the outputs, held for a policy step and disturbed; so the clone sees the states that its own delays and errors lead
-to. Only the teacher drives: labels of states that a bad pupil reaches contradict each other, for the teacher climbs with a memory.
+The robot is driven by the outputs, held for a policy step and disturbed; so the clone sees the states that its own
+delays and errors lead
+to. Only the teacher drives: labels of states that a bad pupil reaches contradict each other, for the teacher climbs
+with a memory.
 """
 
 from __future__ import annotations

@@ -32,7 +32,8 @@ class RenderedCamera:
         start_time: int = 0,
         robot: Robot | None = None,
     ) -> None:
-        """`start_time`: source clock [ns] from which the obstacles' times count; `robot`: None takes the default one."""
+        """`start_time`: source clock [ns] from which the obstacles' times count; `robot`: None takes the default
+        one."""
         robot = robot or describe()
         self._robot = robot.model()
         self.camera = camera

@@ -54,7 +54,8 @@ class View:
 
 
 def egl_works() -> bool:
-    """Whether EGL opens a context. Tried in another process: PyOpenGL cannot change to OSMesa once it has loaded EGL."""
+    """Whether EGL opens a context. Tried in another process: PyOpenGL cannot change to OSMesa once it has loaded
+    EGL."""
     if ctypes.util.find_library("EGL") is None:
         return False
     probe = "from mujoco.egl import GLContext; GLContext(16, 16).make_current()"

@@ -73,7 +73,8 @@ class Righting:
 
 
 def legs(side: float, these: tuple[float, float, float], others: tuple[float, float, float]) -> Array:
-    """(16,) hip, thigh, calf [rad] of the two legs of `side` (+1 left, -1 right) and of the two others; hips outwards."""
+    """(16,) hip, thigh, calf [rad] of the two legs of `side` (+1 left, -1 right) and of the two others; hips
+    outwards."""
     q = np.zeros(16)
     for leg in range(4):
         hip, thigh, calf = these if go2w.SY[leg] == side else others

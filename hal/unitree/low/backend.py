@@ -44,7 +44,10 @@ TETHER_SHARE, TETHER_VX = 1.0 / 3.0, 0.2
 TETHER = "not tried on this robot: hang it with its wheels off the ground; then name the controller in unitree.tried"
 START = 120.0
 """[s] for the motor loop to compile and start."""
-RETURNED = "the robot's own motion service has the motors again (app or remote), nothing is sent any more: start the stack anew"
+RETURNED = (
+    "the robot's own motion service has the motors again (app or remote), nothing is sent any more: "
+    "start the stack anew"
+)
 OWNED = 0.5
 """[s] within which a motion service that has the motors tells its state."""
 KEPT_REQUESTS = 8

@@ -61,7 +61,10 @@ class Limits:
             return "LowState holds a value that is not a number"
         fast = int(np.argmax(np.abs(state.dq) / go2w.SPEED_LIMIT))
         if abs(state.dq[fast]) > OVERSPEED * go2w.SPEED_LIMIT[fast]:
-            return f"motor {go2w.MOTORS[fast]} turns at {state.dq[fast]:.0f} rad/s, possible are {go2w.SPEED_LIMIT[fast]:.0f}"
+            return (
+                f"motor {go2w.MOTORS[fast]} turns at {state.dq[fast]:.0f} rad/s, possible are "
+                f"{go2w.SPEED_LIMIT[fast]:.0f}"
+            )
         out = np.maximum(go2w.JOINT_RANGE[:, 0] - state.q, state.q - go2w.JOINT_RANGE[:, 1])
         far = int(np.argmax(out))
         if out[far] > BEYOND:

@@ -55,7 +55,8 @@ class Exploration:
     """One try of the step, as `Attempt` is; begins when it is made."""
 
     def __init__(self, step: msg.MissionStep, now: int, home: Pose2 | None, memory: str = "") -> None:
-        """`now` [ns]; `home`: where the way ends, None where the robot stays; `memory` of a try that was interrupted."""
+        """`now` [ns]; `home`: where the way ends, None where the robot stays; `memory` of a try that was
+        interrupted."""
         self._step, self._began, self._home = step, now, home
         self._heard = now
         """When the planner answered last, or the step began [ns]."""

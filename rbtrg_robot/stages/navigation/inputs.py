@@ -67,7 +67,8 @@ class Inputs:
 
     @property
     def turn_held(self) -> float:
-        """1.0 where the guard holds the robot in the turn on the spot to the left that the tracker makes, -1.0 in one to the right, else 0.0."""
+        """1.0 where the guard holds the robot in the turn on the spot to the left that the tracker makes, -1.0 in one
+        to the right, else 0.0."""
         if self.limits is None or self.tracker is None or self.phase != "aligning":
             return 0.0
         error = self.tracker.heading_error
@@ -91,7 +92,8 @@ class Inputs:
     def way_held(self) -> bool:
         """Whether the guard holds the robot on its path, or lets it creep the way it is driven.
 
-        A robot that stands does not tell which way it is to be driven; where the tracker drives it, the guard holds one of them.
+        A robot that stands does not tell which way it is to be driven; where the tracker drives it, the guard holds one
+        of them.
         """
         if self.robot is None or self.tracker is None or self.phase != "following":
             return False
@@ -100,7 +102,8 @@ class Inputs:
         return self.way in self.held
 
     def unsure(self, tolerance: float) -> str:
-        """Why a robot that seems to be within `tolerance` [m] of its goal may be elsewhere, in words; empty where it is known well enough."""
+        """Why a robot that seems to be within `tolerance` [m] of its goal may be elsewhere, in words; empty where it is
+        known well enough."""
         place = 2.0 * self._health.place_sigma if self._health is not None else 0.0
         return (
             PLACE_UNSURE.tell(place=place, asked=tolerance)
@@ -128,7 +131,8 @@ class Inputs:
         self._heard.clear()
 
     def planner_silent(self, now: int, seconds: float) -> bool:
-        """Whether the planner, once it was heard, has said nothing for so long [s]: an answer is a sign of life, too."""
+        """Whether the planner, once it was heard, has said nothing for so long [s]: an answer is a sign of life,
+        too."""
         heard = max(self._heard.get(t.ROUTE_STATUS, now), self._heard.get(t.PLAN, 0))
         return now - heard > seconds * NS
 

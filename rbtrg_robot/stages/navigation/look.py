@@ -1,6 +1,7 @@
 """Where the robot looks at the ground ahead: once at each place where it stands and no way leads on.
 
-Nose-down by 15 deg an XT16 sees level ground from 0.9 m on instead of 1.9 m, and over crests. Looking before every path that ends
+Nose-down by 15 deg an XT16 sees level ground from 0.9 m on instead of 1.9 m, and over crests. Looking before every path
+that ends
 in unseen ground was tried and is not in: the robot sees as much while it drives, and a look takes 1.3 s.
 """
 

@@ -87,7 +87,8 @@ class PathOrder:
         return self._path is not None and tracker is not None and tracker.path_id == self._path.id
 
     def repeat(self, now: int, tracker: msg.TrackerState | None) -> msg.PathCommand | None:
-        """The order again where it is due: a tracker that restarted has no path, one that missed a halt still has one."""
+        """The order again where it is due: a tracker that restarted has no path, one that missed a halt still has
+        one."""
         if self._path is None or tracker is None or self.obeyed(tracker) or now - self._sent <= REPEAT:
             return None
         self._sent = now

@@ -11,7 +11,8 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.wire.messages import header
 
 NEAR_END, NEAR_PERIOD = 0.6, 0.5
-"""So near to the end of a path into unseen ground [m] the robot asks for its continuation this often [s]: it need not stop there."""
+"""So near to the end of a path into unseen ground [m] the robot asks for its continuation this often [s]: it need not
+stop there."""
 
 
 class PlanQuery:
@@ -37,8 +38,10 @@ class PlanQuery:
         creep: bool = False,
         again: bool = False,
     ) -> msg.PlanRequest:
-        """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off, `held` tells whether the guard
-        held a turn there to the left, to the right; `creep`: a way onto ground that nobody saw is wanted where there is no other; `again`: it is the
+        """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off, `held`
+        tells whether the guard
+        held a turn there to the left, to the right; `creep`: a way onto ground that nobody saw is wanted where there is
+        no other; `again`: it is the
         open question once more, from where the robot is by now."""
         if not again:
             self._sequence += 1
@@ -80,8 +83,10 @@ class PlanQuery:
         return not self.open and message.sequence == self._sequence
 
     def due(self, now: int, tracker: msg.TrackerState | None, *, on_edge: bool, creeps: bool = False) -> bool:
-        """Whether to ask again on the way into unseen ground, with so much of the path to go. A robot `on_edge` could not turn into another
-        route; but where its own ends, it would stop there. One that turns on the spot ends that first: it would turn back as often as not. One that
+        """Whether to ask again on the way into unseen ground, with so much of the path to go. A robot `on_edge` could
+        not turn into another
+        route; but where its own ends, it would stop there. One that turns on the spot ends that first: it would turn
+        back as often as not. One that
         `creeps` does not come far from one question to the next.
         """
         if tracker is not None and tracker.phase == "aligning":

@@ -66,7 +66,8 @@ WORDS: dict[Reason, str] = {
 
 
 PATIENCE: dict[Reason, float] = {Reason.DISCONNECTED: 3.0, Reason.TAKEN: math.inf}
-"""Seconds after which a goal whose cause of waiting this is ends, if not the configured ones. A robot that was out of contact
+"""Seconds after which a goal whose cause of waiting this is ends, if not the configured ones. A robot that was out of
+contact
 for longer drives on only when told to: whoever plugged the cable in may stand in its way."""
 
 
@@ -91,7 +92,8 @@ def absence(robot: RobotState | None, health: OdometryHealth | None) -> tuple[Re
 
 
 def hindrance(robot: RobotState | None) -> tuple[Reason, str] | None:
-    """Why a robot drives nowhere, and what to do; None where it does. `robot`: its newest RobotState message, if any."""
+    """Why a robot drives nowhere, and what to do; None where it does. `robot`: its newest RobotState message, if
+    any."""
     if robot is None:
         return None
     if robot.estop:

@@ -32,10 +32,14 @@ class Measure(StrEnum):
 class Recovery:
     """Keeps what was tried for one goal, and what routes must keep off.
 
-    No route: look again a few times, once of these with the nose down; then once more without the places to keep off, because they may be the only way; then creep onto
+    No route: look again a few times, once of these with the nose down; then once more without the places to keep off,
+    because they may be the only way; then creep onto
     ground that nobody saw, from now on, where the wheels feel edges; then move out of the
-    place once, because it may only lack the room to turn; then give up. An edge that was felt is kept off for good, and ends the creeping. What was touched is in the map. Stuck: keep off the place and move out, a few times at each place. A turn
-    that is held goes on a little farther ahead first: behind the corner of a wall a robot that turned 0.1 m too early has its tail at it, and
+    place once, because it may only lack the room to turn; then give up. An edge that was felt is kept off for good, and
+    ends the creeping. What was touched is in the map. Stuck: keep off the place and move out, a few times at each
+    place. A turn
+    that is held goes on a little farther ahead first: behind the corner of a wall a robot that turned 0.1 m too early
+    has its tail at it, and
     came back to the same place each time that it had backed out.
     """
 
@@ -111,7 +115,8 @@ class Recovery:
         return Measure.MOVE_OUT if pose and _visit(self._lost_at, pose) == 1 else Measure.GIVE_UP
 
     def stuck(self, pose: Pose2, way: float, *, room_ahead: bool) -> Measure:
-        """No progress at `pose` although it drove forward, `way` 1.0, backward, -1.0, or turned, 0.0. What stalls a turn lies under the
+        """No progress at `pose` although it drove forward, `way` 1.0, backward, -1.0, or turned, 0.0. What stalls a
+        turn lies under the
         robot or beside it, not ahead: nothing is kept off then. `room_ahead`: the guard lets it forward."""
         tries = _visit(self._stuck_at, pose)
         if tries > self._config.max_recoveries:

@@ -78,7 +78,8 @@ def test_at_rest_it_settles_where_accelerometer_and_gyro_say() -> None:
     expected = np.cross(accel_bias / G, up) + (gyro_bias - gyro_bias @ up * up) / GAIN
     np.testing.assert_allclose(mean, expected, atol=4e-4)
     assert 1e-4 < np.linalg.norm(expected) < 0.02
-    # A first-order filter lets through half of GAIN * DT of the variance of the accelerometer, and integrates that of the gyro.
+    # A first-order filter lets through half of GAIN * DT of the variance of the accelerometer, and integrates that of
+    # the gyro.
     white = np.sqrt(0.5 * GAIN * DT * (ACCEL_SIGMA / G) ** 2 + 0.5 * DT / GAIN * GYRO_SIGMA**2)
     assert spread.max() < 2.0 * white
     assert white < 4e-4

@@ -1,4 +1,5 @@
-"""Walls that the body touches: what of it is in none, against a plain oracle, and where the robot may go beside them."""
+"""Walls that the body touches: what of it is in none, against a plain oracle, and where the robot may go beside
+them."""
 
 from __future__ import annotations
 
@@ -93,7 +94,8 @@ def test_beside_a_robot_that_leans_a_kerb_is_no_wall(side: float) -> None:
 
 
 def across(lean: float, side: float) -> NDArray[Any]:
-    """Distance [m] of the cells towards a wall that the heading meets at `lean` [rad], on the left (1.0) or on the right."""
+    """Distance [m] of the cells towards a wall that the heading meets at `lean` [rad], on the left (1.0) or on the
+    right."""
     return np.sin(lean) * X + side * np.cos(lean) * Y
 
 
@@ -104,7 +106,8 @@ def reach(lean: float) -> float:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_way_that_is_free_leads_deeper_into_a_wall(seed: int) -> None:
-    """Bodies at walls at all angles, by the true wall: what is allowed with the guard's margin brings it in deeper by two cells of the map at most."""
+    """Bodies at walls at all angles, by the true wall: what is allowed with the guard's margin brings it in deeper by
+    two cells of the map at most."""
     rng = np.random.default_rng(seed)
     free = 0
     for _ in range(60):
@@ -180,7 +183,8 @@ def test_the_part_of_the_body_that_is_in_no_wall_is_what_the_oracle_says(seed: i
 def contact_oracle(
     around: Surroundings, pose: tuple[float, float, float], stand: Stand
 ) -> tuple[Body, tuple[bool, bool], NDArray[np.bool_]]:
-    """What of the body is in no wall, whether walls are along its sides, and the cells of those walls: the same rules, written for reading."""
+    """What of the body is in no wall, whether walls are along its sides, and the cells of those walls: the same rules,
+    written for reading."""
     limit = ROBOT.max_step + NOISE
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = X - pose[0], Y - pose[1]

@@ -250,7 +250,8 @@ def oracle(
     wall: NDArray[Any],
     *edges: int,
 ) -> tuple[int, int]:
-    """The same rules, written for reading: (sample, kind) of the first obstacle on any track. `edges`: gap and blind."""
+    """The same rules, written for reading: (sample, kind) of the first obstacle on any track. `edges`: gap and
+    blind."""
     limit, rise = ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING
     x, y, yaw = pose
     rows, cols = around.height.shape

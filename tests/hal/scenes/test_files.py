@@ -28,7 +28,8 @@ def cloud(step: float = 0.04) -> np.ndarray:
 
 def ply(layout: str) -> bytes:
     head = (
-        f"ply\nformat {layout} 1.0\ncomment x\nelement vertex 8\nproperty uchar red\nproperty float x\nproperty float y\n"
+        f"ply\nformat {layout} 1.0\ncomment x\nelement vertex 8\nproperty uchar red\nproperty float "
+        "x\nproperty float y\n"
         "property double z\nelement face 4\nproperty list uchar int vertex_indices\nend_header\n"
     ).encode()
     if layout == "ascii":

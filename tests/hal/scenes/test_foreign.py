@@ -12,7 +12,10 @@ from hal.scenes import SceneError, load_scene
 from hal.scenes.readers import lzf, read_geometry
 from tests.places import SHARED, needs_shared
 
-PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float X\nproperty float Y\nproperty float Z\nproperty list uchar int near\nend_header\n"
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float X\nproperty float Y\nproperty float "
+    "Z\nproperty list uchar int near\nend_header\n"
+)
 
 
 def bumps(count: int = 20_000) -> np.ndarray:

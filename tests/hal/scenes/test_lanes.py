@@ -95,7 +95,8 @@ def test_up_to_level_4_a_body_can_drive_the_way_within_the_capabilities(seed, le
             ring = corner + 0.41 * np.array([[np.cos(u), np.sin(u)] for u in np.linspace(0, 6.28, 24)])
             assert distance_to_walls(one, ring).min() > HOLD
             assert np.ptp(z(one, ring)) < 0.02, "turns are on level ground"
-    # Under each wheel: no face above the robot's, no gap wider than it crosses; trunk and housings between stay off the ground.
+    # Under each wheel: no face above the robot's, no gap wider than it crosses; trunk and housings between stay off the
+    # ground.
     for across in (-0.5 * TRACK, 0.5 * TRACK):
         track = z(one, placed(line, np.array(0.0), np.array(across)))
         floor = track > 0.5 * PIT

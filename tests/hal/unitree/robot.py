@@ -203,7 +203,8 @@ class RobotSide:
         self.mode = {Phase.READY: 1, Phase.STANDING: 8}.get(body.phase, 5)
         self.command = (0.0, 0.0)
         self.ended = ""
-        """What ended the last motion: "stop" (StopMove), "zero" (a zero Move), "hold" (no Move for a second), "other"."""
+        """What ended the last motion: "stop" (StopMove), "zero" (a zero Move), "hold" (no Move for a second),
+        "other"."""
         self.avoid_remote = False
         self._commanded_at = -(10**18)
         self._deaf_until = -(10**18)

@@ -18,7 +18,8 @@ MS = NS // 1000
 def hear(
     clock: RemoteClock, host: int, delay: int, base: int = 0, drift: float = 0.0, gap: int = 1
 ) -> float | None:
-    """A message of host time `host` comes `delay` later; by how much [s] it is taken for younger than it is, None where it is refused."""
+    """A message of host time `host` comes `delay` later; by how much [s] it is taken for younger than it is, None where
+    it is refused."""
     stamp = round((host - HOST) * (1.0 + drift)) + base
     if not clock.hear(stamp, host + delay, gap=gap):
         return None
@@ -146,7 +147,8 @@ def _ways(draw: st.DrawFn) -> list[tuple[int, int, float]]:
 def test_no_sample_is_taken_for_younger_than_it_is(
     ways: list[tuple[int, int, float]], drift: float, period: int, seed: int
 ) -> None:
-    """Whatever the way does once the first messages came on time, in order: at most jitter and drift; and it is well again when the way is."""
+    """Whatever the way does once the first messages came on time, in order: at most jitter and drift; and it is well
+    again when the way is."""
     rng = np.random.default_rng(seed)
     clock = RemoteClock()
     host, came, older = HOST, 0, []

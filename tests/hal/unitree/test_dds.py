@@ -61,7 +61,8 @@ def until(backend: UnitreeBackend, phase: Phase, seconds: float = 15.0, vx: floa
 
 @pytest.fixture(scope="module")
 def domain() -> int:
-    """A DDS domain that no other test run on this machine is likely to use; 50, 100, 150 and 160 further on are ours too."""
+    """A DDS domain that no other test run on this machine is likely to use; 50, 100, 150 and 160 further on are ours
+    too."""
     return 20 + os.getpid() % 50
 
 

@@ -75,7 +75,8 @@ def test_silent_while_moves_come_and_after_a_stop(sentry: Sentry, link: Link) ->
 def test_what_another_program_asks_the_sport_service_ends_no_move(
     sentry: Sentry, link: Link, number: int
 ) -> None:
-    """Speed levels, gaits, questions: one that came last before the driver died had the robot roll on for its second."""
+    """Speed levels, gaits, questions: one that came last before the driver died had the robot roll on for its
+    second."""
     sentry.step(1.0, [move(0.5), (api.SPORT, Request(2, number))])
     sentry.step(2.0, [])
     assert [(s, r.api) for s, r in link.sent] == [(api.SPORT, Sport.STOP_MOVE)]
@@ -131,7 +132,8 @@ def test_without_the_extra_it_says_how_to_install(
 
 
 def test_a_guardian_whose_driver_dies_as_it_gives_its_sign_stops_the_robot(link: Link) -> None:
-    """It notices by its sign that nobody reads, not by the end of its orders: it ended then and left the robot rolling."""
+    """It notices by its sign that nobody reads, not by the end of its orders: it ended then and left the robot
+    rolling."""
     orders, tell = os.pipe()
     read, signs = os.pipe()
     os.write(tell, b"m")
@@ -149,7 +151,8 @@ def test_a_guardian_whose_driver_dies_as_it_gives_its_sign_stops_the_robot(link:
 def test_a_guardian_that_can_say_nothing_stops_the_robot(
     link: Link, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its words go into a log on a full disk, or to a terminal that was closed: it ended by that before its first StopMove."""
+    """Its words go into a log on a full disk, or to a terminal that was closed: it ended by that before its first
+    StopMove."""
 
     class Full:
         def write(self, _text: str) -> int:

@@ -93,7 +93,8 @@ class World:
         pass
 
     def begin(self) -> None:
-        """From now on the host's clock counts from 0: whoever drives it began with that while this one was connecting."""
+        """From now on the host's clock counts from 0: whoever drives it began with that while this one was
+        connecting."""
         self.epoch = -self.elapsed
 
     # -- time ----------------------------------------------------------------------------------------------------

@@ -1,4 +1,5 @@
-"""The compiled bridges against the same rules in plain Python, on ground with steps, ramps, walls, gaps and rays of all heights."""
+"""The compiled bridges against the same rules in plain Python, on ground with steps, ramps, walls, gaps and rays of all
+heights."""
 
 from __future__ import annotations
 

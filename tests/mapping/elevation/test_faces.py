@@ -15,7 +15,8 @@ RES = 0.04
 
 
 def lane(surface: float, top: float = 0.5) -> ElevationMap:
-    """What a robot that stands at the origin of a floor knows of a wall whose surface lies at y = `surface` [m], its top at `top` [m]: 20
+    """What a robot that stands at the origin of a floor knows of a wall whose surface lies at y = `surface` [m], its
+    top at `top` [m]: 20
     scans with 1 cm of noise along the ray."""
     rng = np.random.default_rng(0)
     elevation = ElevationMap()

@@ -126,7 +126,10 @@ def test_a_wall_of_one_column_of_a_grid_of_half_the_resolution_stays_a_wall(
 
 
 def ply(points: np.ndarray) -> str:
-    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float "
+        "z\nend_header\n"
+    )
     return head.format(len(points)) + "\n".join(f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in points) + "\n"
 
 

@@ -52,7 +52,8 @@ def test_the_width_is_that_between_the_rims_whatever_its_direction(
     told = measure(slit(cells, angle, deep=0.3, seen=seen))
     told = told[told > 0.0]
     assert len(told) > 0
-    # A cell of each rim counts half; between two of the eight directions a slit is 2 % wider, and a lattice has corners.
+    # A cell of each rim counts half; between two of the eight directions a slit is 2 % wider, and a lattice has
+    # corners.
     assert (cells - 0.5) * RES < np.median(told) < (cells + 2.6) * RES
 
 
@@ -124,7 +125,8 @@ def approach(width: float, angle: float, near: float) -> Iterator[ElevationMap]:
     height[:3] = height[-3:] = height[:, :3] = 1.2
     caster, period = NumbaCaster(Surface(height, res, origin)), LIDARS["xt16"].period
     lidars = [
-        (LidarSimulator(LIDARS[n].decimated(step), LIDARS[n].mount, caster, seed=1, name=name), Sensor.of(MountedLidar(name, n, LIDARS[n].mount)))
+        (LidarSimulator(LIDARS[n].decimated(step), LIDARS[n].mount, caster, seed=1, name=name),
+        Sensor.of(MountedLidar(name, n, LIDARS[n].mount)))
         for name, n, step in (("main", "xt16", 2), ("head", "l1", 1))
     ]  # fmt: skip
     rng, elevation, stamp = np.random.default_rng(1), ElevationMap(crossing=Crossing(0.12, 0.24)), period

@@ -15,7 +15,8 @@ RES = 0.04
 
 
 def block(x0: int, x1: int, y0: int = 0, y1: int = 20) -> np.ndarray:
-    """Nine points in each cell of columns x0 to x1 and rows y0 to y1 of level ground, base_link at HEIGHT over the origin."""
+    """Nine points in each cell of columns x0 to x1 and rows y0 to y1 of level ground, base_link at HEIGHT over the
+    origin."""
     step = RES / 3.0
     x, y = np.meshgrid(np.arange(RES * x0 - step, RES * x1, step), np.arange(RES * y0 - step, RES * y1, step))
     return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -HEIGHT)]).astype(np.float32)

@@ -1,4 +1,5 @@
-"""What drops away unseen is never trusted ground: pits, stairs down and platform edges under both LiDARs of the robot."""
+"""What drops away unseen is never trusted ground: pits, stairs down and platform edges under both LiDARs of the
+robot."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ def approach(height: np.ndarray) -> Iterator[ElevationMap]:
     """The map after every scan of XT16 and L1 from 3 m to 0.6 m before the edge, wheels first."""
     caster = NumbaCaster(Surface(height, RES, ORIGIN))
     lidars = [
-        (LidarSimulator(LIDARS[n], LIDARS[n].mount, caster, seed=1, name=name), Sensor.of(MountedLidar(name, n, LIDARS[n].mount)))
+        (LidarSimulator(LIDARS[n], LIDARS[n].mount, caster, seed=1, name=name),
+        Sensor.of(MountedLidar(name, n, LIDARS[n].mount)))
         for name, n in (("main", "xt16"), ("head", "l1"))
     ]  # fmt: skip
     elevation, period = ElevationMap(), LIDARS["xt16"].period

@@ -1,4 +1,5 @@
-"""Leaves are told from what the robot must not touch: kernels against plain numpy, and things under the rays of both LiDARs."""
+"""Leaves are told from what the robot must not touch: kernels against plain numpy, and things under the rays of both
+LiDARs."""
 
 from __future__ import annotations
 
@@ -375,7 +376,8 @@ CLUMPS = {
 
 
 class Approach:
-    """A robot that drives from 3 m to 1 m before things that stand at the origin, with the true poses; they lie turned by `turn` [rad] in the map."""
+    """A robot that drives from 3 m to 1 m before things that stand at the origin, with the true poses; they lie turned
+    by `turn` [rad] in the map."""
 
     def __init__(
         self, things: tuple[list[OrientedBox], list[Clump]], turn: float, seed: int = 1, on: bool = True
@@ -385,7 +387,8 @@ class Approach:
         caster = NumbaCaster(Surface(np.zeros((200, 200), np.float32), 0.05, (-5.0, -5.0)))
         self.map = ElevationMap(ElevationConfig(plants=on))
         self._lidars = [
-            (LidarSimulator(LIDARS[n], LIDARS[n].mount, caster, seed=seed, name=name, plants=clumps), Sensor.of(MountedLidar(name, n, LIDARS[n].mount)))
+            (LidarSimulator(LIDARS[n], LIDARS[n].mount, caster, seed=seed, name=name, plants=clumps),
+            Sensor.of(MountedLidar(name, n, LIDARS[n].mount)))
             for name, n in (("main", "xt16"), ("head", "l1"))
         ]  # fmt: skip
         self._stamp, self._scans = PERIOD, 0

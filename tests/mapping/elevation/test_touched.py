@@ -1,4 +1,5 @@
-"""What was touched is a wall of the map that no ray erases; it fades, is forgotten on demand, and comes back from a reader."""
+"""What was touched is a wall of the map that no ray erases; it fades, is forgotten on demand, and comes back from a
+reader."""
 
 from __future__ import annotations
 

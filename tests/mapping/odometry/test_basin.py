@@ -58,7 +58,8 @@ def at(x: float, yaw: float = 0.0) -> np.ndarray:
 
 @pytest.mark.parametrize(("creep", "told"), [(0.0, False), (0.03, True)])
 def test_kiss_icp_speaks_up_when_the_tracker_creeps_away(creep: float, told: bool) -> None:
-    """The robot goes 0.1 m from look to look; the tracker believes `creep` [m] more each time, dead reckoning does not."""
+    """The robot goes 0.1 m from look to look; the tracker believes `creep` [m] more each time, dead reckoning does
+    not."""
     witness = Witness(KissConfig(), 20.0)
     words = []
     for k in range(20):
@@ -105,7 +106,8 @@ def test_after_a_strange_scan_others_must_fit_as_well_as_usual() -> None:
 
 
 def test_a_robot_that_fell_is_found_again_where_the_ground_is_rougher_than_level() -> None:
-    """On level ground scans lie 7 mm off the map; after a fall of 5 m they fitted by 0.99, 18 mm off, and were refused for good."""
+    """On level ground scans lie 7 mm off the map; after a fall of 5 m they fitted by 0.99, 18 mm off, and were refused
+    for good."""
     monitor = HealthMonitor(HealthConfig())
     prior = 1e-4 * np.eye(6)
     monitor.start(0)
@@ -148,7 +150,8 @@ def test_a_robot_that_is_found_elsewhere_was_not_moved_while_it_stood() -> None:
 
 @pytest.mark.parametrize("tracked", [True, False])
 def test_a_second_opinion_alone_does_not_lock_out_a_robot_that_has_just_come_somewhere(tracked: bool) -> None:
-    """There scans fit by 0.93 instead of the usual 0.99; refused, they would for ever, because the map learns nothing new."""
+    """There scans fit by 0.93 instead of the usual 0.99; refused, they would for ever, because the map learns nothing
+    new."""
     monitor = HealthMonitor(HealthConfig())
     prior = 1e-4 * np.eye(6)
     monitor.start(0)

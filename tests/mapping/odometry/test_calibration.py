@@ -1,4 +1,5 @@
-"""Clock of each LiDAR: found, corrected up to a bound, told. Mounts that are off are told, right ones on any ground are not."""
+"""Clock of each LiDAR: found, corrected up to a bound, told. Mounts that are off are told, right ones on any ground are
+not."""
 
 from __future__ import annotations
 
@@ -125,7 +126,8 @@ def test_a_second_run_finds_the_same(samples: list[Sample]) -> None:
 
 
 def test_turn_of_the_mount_and_offset_are_told_apart_by_the_gyro() -> None:
-    """Motion about changing axes, exact but for noise; registration through a mount turned by `e`, stamps `offset` late."""
+    """Motion about changing axes, exact but for noise; registration through a mount turned by `e`, stamps `offset`
+    late."""
     random = np.random.default_rng(1)
     e, offset, dt = np.array([0.01, -0.02, 0.015]), 0.012, 0.1
 
@@ -148,7 +150,8 @@ def test_turn_of_the_mount_and_offset_are_told_apart_by_the_gyro() -> None:
 
 
 def test_one_registration_that_lies_askew_moves_no_stamp() -> None:
-    """The first nose-down looks of a robot that stood in a lane: rate [rad/s] of the gyro, pitch of registration beside it [rad]."""
+    """The first nose-down looks of a robot that stood in a lane: rate [rad/s] of the gyro, pitch of registration beside
+    it [rad]."""
     found = Calibration({"main": XT16_MOUNT}, 0.05)
     engine = SimpleNamespace(scans=30)
     covariance = np.diag([9e-4, 9e-4, 9e-4, 2.5e-5, 1.7e-6, 7e-7])
@@ -229,7 +232,8 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def calibration(cloud: Callable[[], np.ndarray], contacts: np.ndarray, e: np.ndarray, z: float) -> str:
-    """What is said after ten scans of a robot at rest whose main LiDAR is turned by `e` and `z` too high, by the configuration."""
+    """What is said after ten scans of a robot at rest whose main LiDAR is turned by `e` and `z` too high, by the
+    configuration."""
     found = Calibration({"main": XT16_MOUNT}, 0.05)
     for _ in range(10):
         seen = (cloud() @ rotation_rpy(*e).T + [0.0, 0.0, z]).astype(np.float32)

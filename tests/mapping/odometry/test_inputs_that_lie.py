@@ -1,4 +1,5 @@
-"""Streams that are fresh and wrong: what repeats, what cannot be, what the others contradict. Each check is taken out once, to see that it is the one."""
+"""Streams that are fresh and wrong: what repeats, what cannot be, what the others contradict. Each check is taken out
+once, to see that it is the one."""
 
 from __future__ import annotations
 
@@ -148,7 +149,8 @@ def test_wheels_of_which_one_does_not_spin_agree_with_the_scans(
 
 
 def standing(run: SyntheticRun, seconds: float, change: Callable[[float], float]) -> list[Sample]:
-    """A robot whose wheels and gyro stand, and what it sees from `change(t)` [m] further ahead, `t` [s] after the start."""
+    """A robot whose wheels and gyro stand, and what it sees from `change(t)` [m] further ahead, `t` [s] after the
+    start."""
     still = replace(run, motion=Motion(kind="standstill"), duration=seconds)
     proprioception = [s for s in still.samples() if isinstance(s, ImuSample | JointSample)]
     x, y, yaw = still.motion.start

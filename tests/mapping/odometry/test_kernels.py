@@ -148,7 +148,8 @@ def test_pose_update_moves_base_link_to_a_certain_measurement() -> None:
 
 
 def joints_of(velocity: np.ndarray, omega: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Joint rates (16,) that keep four contact points at rest in the world while the trunk moves: the definition, solved per leg."""
+    """Joint rates (16,) that keep four contact points at rest in the world while the trunk moves: the definition,
+    solved per leg."""
     dq = np.zeros(16)
     normal = np.array([0.0, 0.0, 1.0])
     centre = wheel_centres(q)
@@ -378,7 +379,8 @@ def test_a_flat_floor_observes_height_and_tilt_and_nothing_else() -> None:
 
 
 def test_one_post_ties_the_turn_to_the_displacement() -> None:
-    """What a post far ahead observes is a mixture: neither the place nor the heading alone is free, and one direction of the two is."""
+    """What a post far ahead observes is a mixture: neither the place nor the heading alone is free, and one direction
+    of the two is."""
     rng = np.random.default_rng(14)
     floor = np.column_stack([rng.uniform(-8, 8, (4000, 2)), np.full(4000, -0.4)])
     up = np.tile([0.0, 0.0, 1.0], (4000, 1))

@@ -1,4 +1,5 @@
-"""Two LiDARs on one robot: both are registered, the main one makes the map, and the other takes over where the main one is silent."""
+"""Two LiDARs on one robot: both are registered, the main one makes the map, and the other takes over where the main one
+is silent."""
 
 from __future__ import annotations
 

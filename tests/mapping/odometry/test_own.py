@@ -158,7 +158,8 @@ def bushes() -> tuple[Clump, ...]:
 def walkers(x: float) -> list[OrientedBox]:
     """People who come towards the robot on both sides, 1.2 m apart."""
     return [
-        OrientedBox((0.6 * k - x, (-1) ** k * 0.6, 0.8), (0.3, 0.4, 1.6)) for k in range(20) if abs(0.6 * k - x - x) > 0.3
+        OrientedBox((0.6 * k - x, (-1) ** k * 0.6, 0.8), (0.3, 0.4, 1.6)) for k in range(20)
+        if abs(0.6 * k - x - x) > 0.3
     ]  # fmt: skip
 
 

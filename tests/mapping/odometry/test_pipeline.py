@@ -262,7 +262,8 @@ def test_spinning_wheels_do_not_carry_the_pose_away(recorded: tuple[SyntheticRun
 
 
 def test_the_last_of_a_sway_is_no_gyro_bias(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
-    """The trunk still settles by 0.7 deg while the odometry starts: tilt and heading must not run away from there on."""
+    """The trunk still settles by 0.7 deg while the odometry starts: tilt and heading must not run away from there
+    on."""
     run, samples = recorded
     first, rate = samples[0].stamp, 0.06
     swaying = []
@@ -313,7 +314,8 @@ def test_a_bias_that_gravity_told_as_tilt_stays_apart_from_a_sway() -> None:
 def elsewhere(
     run: SyntheticRun, stamp: int, place: tuple[float, float, float], since: int
 ) -> tuple[SyntheticRun, float]:
-    """The robot of `run` stands x, y [m], yaw [rad] (`place`, axes of the world) from where it was at `stamp`, from `since` on; and how far that is."""
+    """The robot of `run` stands x, y [m], yaw [rad] (`place`, axes of the world) from where it was at `stamp`, from
+    `since` on; and how far that is."""
     position, orientation = run.truth(stamp)
     heading = rotation(orientation[0])
     yaw = float(np.arctan2(heading[1, 0], heading[0, 0]))
@@ -369,7 +371,8 @@ def test_a_robot_unheard_for_long_is_found_where_it_may_have_coasted_and_nowhere
 
 
 def test_a_robot_that_nobody_watched_for_a_moment_is_near_where_it_was() -> None:
-    """It was taken to be up to 0.3 m off: on open ground, where scans tell the place no better, it was put 0.12 m beside
+    """It was taken to be up to 0.3 m off: on open ground, where scans tell the place no better, it was put 0.12 m
+    beside
     it in two of twenty restarts."""
     last = Before(np.eye(4), np.zeros((0, 3), np.float32), 5 * NS, 0.0, 0.0)
     assert last.moved(6 * NS) == pytest.approx((0.07, 0.07))

@@ -292,7 +292,8 @@ def test_headings_that_fit_are_told_apart_from_those_that_do_not() -> None:
 
 
 def test_the_graph_holds_both_sides_of_unseen_ground_that_the_robot_stands_before() -> None:
-    """Which of them it can leave to is for the test of its first move to tell: that one knows where the robot stands."""
+    """Which of them it can leave to is for the test of its first move to tell: that one knows where the robot
+    stands."""
     x, _, z = _flat()
     trusted = np.abs(x - 1.6) > 0.09
     graph = TraversalGraph.build(_grid(z, trusted), (1.5, 2.0), PARAMS)

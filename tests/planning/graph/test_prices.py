@@ -45,7 +45,8 @@ def envelope() -> Envelope:
 @pytest.mark.parametrize(
     ("height", "angle", "least", "most"),
     [
-        # What the trial of the model gave, at 100 m a failure: 0.00, 0.03, 2.2 m, no way; 0.00, 0.2 m, no way; 0.00, 0.02, 1.3 m.
+        # What the trial of the model gave, at 100 m a failure: 0.00, 0.03, 2.2 m, no way; 0.00, 0.2 m, no way; 0.00,
+        # 0.02, 1.3 m.
         (0.20, 0, 0.0, 0.05),
         (0.20, 30, 0.0, 0.1),
         (0.20, 45, 1.0, 4.0),

@@ -63,7 +63,8 @@ def test_over_what_is_narrower_than_a_gap_it_backs_up() -> None:
 
 
 def test_where_a_part_of_the_ground_under_the_leading_wheels_was_not_seen_it_is_driven_slowly() -> None:
-    # 9 cm of the 43 under the wheels, along one side, x from 2.2 to 2.8 m, on a way that was planned before; driven along -x
+    # 9 cm of the 43 under the wheels, along one side, x from 2.2 to 2.8 m, on a way that was planned before; driven
+    # along -x
     level = flat(5.0, 3.0, 0.04)
     _, path = way(np.pi, level)
     unseen = np.zeros(level.height.shape, np.bool_)
@@ -99,7 +100,8 @@ def test_with_a_part_of_the_body_over_leaves_it_is_driven_slowly() -> None:
 
 
 def onto_unseen(yaw: float, first: float, low: float = -1.0) -> tuple[TraversalGraph, Path, ElevationGrid]:
-    """A way along -x to ground beyond x = `first` and y = `low` [m] that nobody saw, over which rays passed, by a robot that looks at `yaw` [rad]."""
+    """A way along -x to ground beyond x = `first` and y = `low` [m] that nobody saw, over which rays passed, by a robot
+    that looks at `yaw` [rad]."""
     level = flat(5.0, 3.0, 0.04)
     y, x = np.mgrid[: level.shape[0], : level.shape[1]] * 0.04
     unseen = (x < first) & (y > low)
@@ -131,7 +133,8 @@ def test_it_creeps_neither_backward_nor_over_what_needs_more_speed() -> None:
 
 @pytest.mark.parametrize(("low", "turns"), [(1.15, False), (1.85, False), (2.0, True)])
 def test_it_turns_no_wheel_onto_ground_that_nobody_saw(low: float, turns: bool) -> None:
-    """It stands across the way. What lies 0.35 m beside it, where it turns its wheels to or may drift to, was seen or not."""
+    """It stands across the way. What lies 0.35 m beside it, where it turns its wheels to or may drift to, was seen or
+    not."""
     level = flat(5.0, 3.0, 0.04)
     _, path, _ = onto_unseen(np.pi / 2, 0.0)
     assert abs(path.initial_turn or 0.0) == pytest.approx(np.pi / 2, abs=0.1)

@@ -279,7 +279,8 @@ def test_the_way_through_virtual_ground_is_that_of_plain_relaxation() -> None:
 
 
 def test_a_lane_whose_valleys_nobody_saw_yet_is_not_left_for_the_lane_beside_it() -> None:
-    # Beyond a frontier ground counts as free. Virtual ground before one had its price, and the lane of the goal was dearer than the other.
+    # Beyond a frontier ground counts as free. Virtual ground before one had its price, and the lane of the goal was
+    # dearer than the other.
     y, x = np.mgrid[0:100, 0:160] * 0.04
     z = np.zeros(x.shape, np.float32)
     z[(x < 0.1) | (y < 0.1) | (y > 3.9) | ((np.abs(y - 2.0) < 0.1) & (x > 1.6))] = 0.5
@@ -324,7 +325,8 @@ def unseen_between(detour: bool) -> ElevationGrid:
 
 
 def test_a_far_way_over_ground_that_nobody_saw_is_no_reason_to_leave_a_near_frontier() -> None:
-    # Robots before the end of a lane turned round and drove all the way back, because hidden ground on another way joined the goal to the graph.
+    # Robots before the end of a lane turned round and drove all the way back, because hidden ground on another way
+    # joined the goal to the graph.
     request = PlanRequest((3.0, 1.0), (7.3, 1.0), 0.0, allow_frontier=True)
     grid = unseen_between(detour=True)
     graph = TraversalGraph.build(grid, (3.0, 1.0), GraphParams(blind_radius=0.0))

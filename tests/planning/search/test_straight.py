@@ -1,4 +1,5 @@
-"""Routes on open ground are straight, keep off what the searched route keeps off, and stay while another is hardly better."""
+"""Routes on open ground are straight, keep off what the searched route keeps off, and stay while another is hardly
+better."""
 
 from __future__ import annotations
 

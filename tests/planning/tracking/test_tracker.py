@@ -664,7 +664,8 @@ def test_a_short_turn_on_the_spot_that_something_slows_down_goes_on_as_a_bend(de
 
 
 def test_a_base_that_drifts_back_while_it_turns_at_a_corner_goes_on_turning():
-    """In a lane it turned left at the corner, drifted back before it, turned right to the leg that it had driven, and so on for ten seconds."""
+    """In a lane it turned left at the corner, drifted back before it, turned right to the leg that it had driven, and
+    so on for ten seconds."""
     tracker = PathTracker(TrackerConfig())
     corner = np.array([[0.0, 0.0], [0.13, 0.0], [0.13, 1.0]])
     dense = np.vstack(

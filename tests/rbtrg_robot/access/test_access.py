@@ -124,7 +124,8 @@ def test_nobody_outside_passes_for_a_process(place: Site, who: str) -> None:
 
 @pytest.mark.parametrize("who", ["somebody", "removed"])
 def test_connections_that_say_nothing_keep_nobody_out(who: str) -> None:
-    """More than Zenoh takes at a time unless it is told. Processes that were started anew, and commands, did not get in either."""
+    """More than Zenoh takes at a time unless it is told. Processes that were started anew, and commands, did not get in
+    either."""
     with site() as place, contextlib.ExitStack() as held, place.enter("operator") as before:
         host, port = place.endpoint.partition("/")[2].split(":")
         tls = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

@@ -1,4 +1,5 @@
-"""An operator's connection over mutual TLS is cut and comes back: the same session goes on, without anybody doing anything."""
+"""An operator's connection over mutual TLS is cut and comes back: the same session goes on, without anybody doing
+anything."""
 
 from __future__ import annotations
 

@@ -83,7 +83,8 @@ class Door:
         return stranger
 
     def listen(self, *wanted: Topic) -> None:
-        """Subscribe, and wait until the server's session knows of it: Zenoh sends nothing for which it knows no listener."""
+        """Subscribe, and wait until the server's session knows of it: Zenoh sends nothing for which it knows no
+        listener."""
         self.bus.subscribe(wanted)
         for topic in wanted:
             if topic in BACK:
@@ -373,11 +374,14 @@ def test_a_taken_port_is_one_line(door: Door) -> None:
 
 
 WRONG: list[Any] = [
-    *({"op": "subscribe", "subscriptions": [{"id": n, "channelId": 1}]} for n in (-1, 2**32, 10**30, 1.5, "1", None, True, [])),
+    *({"op": "subscribe", "subscriptions": [{"id": n, "channelId": 1}]}
+    for n in (-1, 2**32, 10**30, 1.5, "1", None, True, [])),
     *({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": n}]} for n in (-1, 10**30, math.inf, "x", {})),
     *({"op": "unsubscribe", "subscriptionIds": [n]} for n in (-1, math.nan, "x", {})),
-    *({"op": "advertise", "channels": [{"id": n, "topic": "/goal_pose", "encoding": "cdr", "schemaName": "geometry_msgs/msg/PoseStamped"}]} for n in (-1, 2**32)),
-    *({"op": name, key: 5} for name, key in (("subscribe", "subscriptions"), ("unsubscribe", "subscriptionIds"), ("advertise", "channels"))),
+    *({"op": "advertise", "channels": [{"id": n, "topic": "/goal_pose", "encoding": "cdr",
+    "schemaName": "geometry_msgs/msg/PoseStamped"}]} for n in (-1, 2**32)),
+    *({"op": name, key: 5} for name,
+    key in (("subscribe", "subscriptions"), ("unsubscribe", "subscriptionIds"), ("advertise", "channels"))),
     *([], 5, "text", None, {"op": []}, {}),
 ]  # fmt: skip
 

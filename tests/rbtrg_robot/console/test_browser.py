@@ -1,4 +1,5 @@
-"""The page in a real browser (Debian's chromium), on a made-up stack: what people see, and above all that STOP works."""
+"""The page in a real browser (Debian's chromium), on a made-up stack: what people see, and above all that STOP
+works."""
 
 from __future__ import annotations
 
@@ -139,7 +140,8 @@ def test_a_goal_by_touch_on_a_phone(visit: Callable[..., Page], robot: Robot) ->
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
     small = page.evaluate(
         "[...document.querySelectorAll('button, select, input, summary')].filter(x => x.offsetParent && "
-        "(x.getBoundingClientRect().height < 43.5 || x.getBoundingClientRect().width < 43.5)).map(x => x.id || x.textContent)"
+        "(x.getBoundingClientRect().height < 43.5 || x.getBoundingClientRect().width < 43.5)).map(x => x.id "
+        "|| x.textContent)"
     )
     assert small == []
 
@@ -205,10 +207,12 @@ ON_TOP = """name => { const at = document.querySelector(name), box = at.getBound
     return [[.5, .5], [.1, .5], [.9, .5], [.5, .1], [.5, .9]].every(([a, b]) =>
         at.contains(document.elementFromPoint(box.x + a * box.width, box.y + b * box.height))); }"""
 """Whether nothing covers an element."""
-CUT = """() => [...document.querySelectorAll('.scroll')].filter(x => x.scrollWidth > x.clientWidth + 1).map(x => x.ariaLabel)"""
+CUT = """() => [...document.querySelectorAll('.scroll')]
+    .filter(x => x.scrollWidth > x.clientWidth + 1).map(x => x.ariaLabel)"""
 CONTRAST = """async () => {
     const { THEMES } = await import('/page/view/palette.js');
-    const light = ([r, g, b]) => [r, g, b].map(v => v / 255).map(v => v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4)
+    const light = ([r, g, b]) => [r, g, b].map(v => v / 255)
+        .map(v => v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4)
         .reduce((sum, v, k) => sum + v * [.2126, .7152, .0722][k], 0);
     const contrast = (a, b) => (Math.max(light(a), light(b)) + .05) / (Math.min(light(a), light(b)) + .05);
     const lines = ['route', 'preview', 'goal', 'home', 'worst', 'step', 'allowed', 'drawn'];
@@ -380,7 +384,8 @@ def test_stop_from_a_page_that_draws_too_slowly(visit: Callable[..., Page], robo
     page = visit()
     page.evaluate(
         "() => { const view = consoleView, end = performance.now() + 4000; view.ground.hit = view.ground.height;"
-        "const busy = () => { const t = performance.now() + 250; while (performance.now() < t); if (performance.now() < end) setTimeout(busy, 0); }; busy(); }"
+        "const busy = () => { const t = performance.now() + 250; while (performance.now() < t); if "
+        "(performance.now() < end) setTimeout(busy, 0); }; busy(); }"
     )
     page.keyboard.press("Escape")
     soon(page, lambda: bool(robot.cause))
@@ -477,7 +482,10 @@ def test_two_pages_and_one_operator(visit: Callable[..., Page], robot: Robot) ->
     first = visit()
     until(first, "document.querySelector('#lease').textContent === 'you operate'")
     second = visit()
-    theirs = "document.querySelector('#lease').textContent.endsWith(' operates') && document.querySelector('#ask').disabled"
+    theirs = (
+        "document.querySelector('#lease').textContent.endsWith(' operates') && "
+        "document.querySelector('#ask').disabled"
+    )
     until(second, theirs)
     press = "() => { const made = document.querySelector('#take'); made.click(); return made.textContent; }"
     assert second.evaluate(press).endswith("Really take over?")
@@ -494,9 +502,11 @@ def test_an_observer_looks_and_commands_nothing(visit: Callable[..., Page], robo
     until(page, "document.querySelector('#lease').textContent.includes('observer')")
     assert page.is_disabled("#ask")
     words = page.evaluate(
-        "() => new Promise(yes => { const s = new WebSocket(`ws://${location.host}/live`); s.binaryType = 'arraybuffer';"
+        "() => new Promise(yes => { const s = new WebSocket(`ws://${location.host}/live`); s.binaryType = "
+        "'arraybuffer';"
         "s.onopen = () => s.send(JSON.stringify({do: 'goal', x: 1, y: 0, n: 7}));"
-        "s.onmessage = ({data}) => { const t = new TextDecoder().decode(data.slice(4)); if (t.includes('\"answer\"')) yes(t); } })"
+        "s.onmessage = ({data}) => { const t = new TextDecoder().decode(data.slice(4)); if "
+        "(t.includes('\"answer\"')) yes(t); } })"
     )
     assert "may look and stop" in words
     assert robot.goals == []
@@ -538,7 +548,8 @@ def test_a_gamepad_drives_while_its_enable_button_is_held(visit: Callable[..., P
     page.evaluate(
         """() => {
             const button = () => ({ pressed: false });
-            window.pad = { connected: true, mapping: 'standard', axes: [0, -1], buttons: Array.from({ length: 8 }, button) };
+            window.pad = { connected: true, mapping: 'standard', axes: [0, -1],
+                buttons: Array.from({ length: 8 }, button) };
             navigator.getGamepads = () => [window.pad];
         }"""
     )
@@ -576,7 +587,8 @@ def test_hands_let_go(visit: Callable[..., Page], robot: Robot, end: str) -> Non
         page.evaluate("() => window.dispatchEvent(new Event('blur'))")
     else:
         page.evaluate(
-            "() => { Object.defineProperty(document, 'hidden', { value: true }); document.dispatchEvent(new Event('visibilitychange')); }"
+            "() => { Object.defineProperty(document, 'hidden', { value: true }); document.dispatchEvent(new "
+            "Event('visibilitychange')); }"
         )
     clock = time.monotonic() + LIMIT
     while robot.driven[-1][1:] != (0.0, 0.0):
@@ -847,7 +859,8 @@ def test_a_lost_context_comes_back(visit: Callable[..., Page]) -> None:
     page = visit(flat=False)
     assert page.evaluate("consoleView.kind") == "3D"
     page.evaluate(
-        "() => { const gl = document.querySelector('#view canvas').getContext('webgl2'); window.lost = gl.getExtension('WEBGL_lose_context'); lost.loseContext(); }"
+        "() => { const gl = document.querySelector('#view canvas').getContext('webgl2'); window.lost = "
+        "gl.getExtension('WEBGL_lose_context'); lost.loseContext(); }"
     )
     until(page, "document.querySelector('#hint').textContent.includes('made again')")
     page.evaluate("() => lost.restoreContext()")
@@ -860,7 +873,7 @@ SEEN = """(() => {
   const canvas = document.querySelector('#view canvas'), copy = document.createElement('canvas');
   copy.width = 80; copy.height = 50;
   const context = copy.getContext('2d');
-  return new Promise(yes => requestAnimationFrame(() => {  // right behind the one that draws: later the picture is handed over
+  return new Promise(yes => requestAnimationFrame(() => {  // right behind the one that draws
     context.drawImage(canvas, 0, 0, 80, 50);
     yes(new Set(new Uint32Array(context.getImageData(0, 0, 80, 50).data.buffer)).size > 60);
   }));
@@ -874,7 +887,8 @@ def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_f
 ) -> None:
     page = visit(flat=False)
     page.evaluate(
-        "() => document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+        "() => document.querySelector('#view "
+        "canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
     )
     until(page, "consoleView.kind === '2D'")
     page.close()

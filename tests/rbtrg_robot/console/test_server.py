@@ -441,7 +441,8 @@ def test_every_cell_has_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
     tiles = ages_of(terrain.ages(sent, known, 0.0, 0.0))
     assert [age_at(tiles, *at) for at in ((1.0, 0.0), (4.6, 0.2), (6.8, -2.6))] == [40, 40, 255]
     now += 5.0
-    # The robot stands at (1, 0, 0.4), turned to the left. Of three points one agrees with the ground, one hangs over it, one is beyond.
+    # The robot stands at (1, 0, 0.4), turned to the left. Of three points one agrees with the ground, one hangs over
+    # it, one is beyond.
     points = np.array([[0.2, 0.0, -0.4], [0.6, 0.0, 0.2], [90.0, 0.0, 0.0]], np.float32)
     terrain.look(points, np.array([1.0, 0.0, 0.4]), np.array([0.0, 0.0, 2**-0.5, 2**-0.5]))
     tiles = ages_of(terrain.ages(sent, known, 0.0, 0.0))

@@ -1,4 +1,5 @@
-"""`log step`: a re-run stands between two messages, is led from the page, and tells what a stage knows at that instant."""
+"""`log step`: a re-run stands between two messages, is led from the page, and tells what a stage knows at that
+instant."""
 
 from __future__ import annotations
 

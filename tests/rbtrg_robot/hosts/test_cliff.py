@@ -1,4 +1,5 @@
-"""The whole stack before an edge of half a metre: it sees the edge and stays away, because at its speed no reflex could save it."""
+"""The whole stack before an edge of half a metre: it sees the edge and stays away, because at its speed no reflex could
+save it."""
 
 from __future__ import annotations
 

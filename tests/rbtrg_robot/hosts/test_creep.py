@@ -72,7 +72,8 @@ CREEPING = "creeping over ground nobody saw"
 def drive(
     monkeypatch: pytest.MonkeyPatch, scene: Scene, controller: str = "hybrid", friction: float = 0.8
 ) -> tuple[Lockstep, list[str], float]:
-    """To the end of the goal, on its wheels: the stack, what the goal said on the way, and how far the robot came [m]."""
+    """To the end of the goal, on its wheels: the stack, what the goal said on the way, and how far the robot came
+    [m]."""
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
     sets = ["record=false", "sim.lidar_step=4", f"sim.friction={friction}"]
     said, furthest, creeps = [""], 0.0, 0

@@ -31,7 +31,8 @@ def box(xs: tuple[float, float], ys: tuple[float, float], high: float, appear: f
 
 
 def stack_with(*boxes: dict[str, Any], **flags: Any) -> Lockstep:
-    """Flat ground, the robot at the origin, heading +x. Every fourth firing is harder for the guard and half the work."""
+    """Flat ground, the robot at the origin, heading +x. Every fourth firing is harder for the guard and half the
+    work."""
     sim = {"obstacles": list(boxes), "lidar_step": 4}
     return Lockstep(config(origin=(0.0, 0.0, 0.0), sim=sim, **flags))
 
@@ -112,7 +113,8 @@ def test_beside_a_wall_it_is_driven_along_it_by_hand_both_ways(tmp_path: Path) -
         assert truth(stack)[0] > 0.6
         by_hand(stack, 1.2, 0.0, 0.4)
         by_hand(stack, 1.2, 0.0, -0.4)
-        # A corner meets the wall at 0.057 rad (2 cm over 0.35 m). Of five draws of noise four stay below 0.02 rad, one comes to 0.027.
+        # A corner meets the wall at 0.057 rad (2 cm over 0.35 m). Of five draws of noise four stay below 0.02 rad, one
+        # comes to 0.027.
         assert abs(truth(stack)[2]) < 0.04, "a corner would come into the wall"
         back = truth(stack)[0]
         by_hand(stack, 2.5, -0.3)

@@ -91,7 +91,8 @@ class Pipeline:
 def test_what_is_handed_to_a_restarted_process_may_be_broken(
     samples: list[Sample], quaternion: tuple[float, ...]
 ) -> None:
-    """The supervisor hands on the newest messages of before the death: a broken one must not end each process that follows."""
+    """The supervisor hands on the newest messages of before the death: a broken one must not end each process that
+    follows."""
     pipeline = Pipeline()
     (odometry, _), (elevation, _) = pipeline.stages.values()
     nowhere = math.nan if quaternion[3] == 0.0 else 0.0

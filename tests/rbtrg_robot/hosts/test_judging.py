@@ -137,7 +137,8 @@ def test_a_file_that_is_wrong_is_refused_before_anything_runs(here: Here, tmp_pa
         + "asserts: [a]": "there is no key 'asserts'; a test has run, rerun, drive, set, sweep, against, assert",
         ok + "sweep: {seed: [1]}\nassert: ['max tilt < 3']": "change nothing without `rerun` or `drive`",
         ok
-        + "rerun: odometry\nsweep: {odometry.engin: [a]}\nassert: ['max tilt < 3']": "no configuration key 'odometry.engin'",
+        + "rerun: odometry\nsweep: {odometry.engin: [a]}\nassert: ['max tilt < 3']": "no configuration key "
+        "'odometry.engin'",
         ok + "rerun: elevation\nassert: ['max tilt < 3']": "which elevation needs",
         "assert: ['max tilt < 3']": "names no `run`",
         "run: nowhere.mcap\nassert: ['max tilt < 3']": "there is no",

@@ -204,7 +204,8 @@ def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> N
 
 @pytest.mark.campaign
 def test_over_kerbs_in_a_narrow_lane_odometry_keeps_its_height(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The main LiDAR sees little ground there, and a wheel that climbs a face tells a velocity that it does not have."""
+    """The main LiDAR sees little ground there, and a wheel that climbs a face tells a velocity that it does not
+    have."""
     scene = lane(plate)
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
     with stack(describe().lidars) as robot:

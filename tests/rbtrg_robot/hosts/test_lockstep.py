@@ -235,7 +235,8 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
 
 @pytest.mark.campaign
 def test_the_robot_brakes_for_what_suddenly_stands_before_it_and_drives_around() -> None:
-    # It stands 0.25 m above what the model-based controller climbs, 0.1 m above what the default climbs: that one sees it a sweep later
+    # It stands 0.25 m above what the model-based controller climbs, 0.1 m above what the default climbs: that one sees
+    # it a sweep later
     # and need not stop.
     half = 0.2
     box = {"centre": (5.0, 5.0, 0.2), "size": (2 * half, 2 * half, 0.4), "appear": 1000.0}

@@ -21,7 +21,8 @@ SPARSE = ["sim.lidar_step=8"]
 
 
 def mapped(file: Path) -> tuple[float, float, float]:
-    """A map of the yard's south-west corner whose origin is where the robot stands, turned; returns where in that map the robot stood."""
+    """A map of the yard's south-west corner whose origin is where the robot stands, turned; returns where in that map
+    the robot stood."""
     got: dict[Topic, bytes] = {}
     with Lockstep(load(None, SPARSE, scene="yard")) as stack:
         stack.host.listen(

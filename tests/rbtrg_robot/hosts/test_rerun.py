@@ -36,7 +36,8 @@ START = 100 * 10**9
 
 
 class LateBus(Refusals):
-    """A bus whose inboxes keep the newest, as the live ones do, and whose reader comes late. What is published is kept."""
+    """A bus whose inboxes keep the newest, as the live ones do, and whose reader comes late. What is published is
+    kept."""
 
     def __init__(self, entries: list[Entry]) -> None:
         super().__init__()
@@ -101,7 +102,8 @@ def drive(folder: Path) -> tuple[StackConfig, Path]:
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
-    """A log as it would be if the planner had been a slow process, and how many windows overtook each other before it."""
+    """A log as it would be if the planner had been a slow process, and how many windows overtook each other before
+    it."""
     folder = tmp_path_factory.mktemp("live")
     config, log = drive(folder)
     (stage, _period) = build_stages(config, ["planner"])["planner"]

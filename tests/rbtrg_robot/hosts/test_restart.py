@@ -106,7 +106,8 @@ def test_odometry_comes_back_on_open_ground_where_one_scan_makes_hardly_any_plan
 
 
 def restarted(seconds: float, planner: bool, stage: Any = None, **status: Any) -> list[Any]:
-    """What a restarted elevation process tells in this time, which gets no part of its map back. `planner`: one without a map runs."""
+    """What a restarted elevation process tells in this time, which gets no part of its map back. `planner`: one without
+    a map runs."""
     stage = stage or build_stages(config(), ["elevation"])["elevation"][0]
     stage.on(
         t.MAP_STATUS,

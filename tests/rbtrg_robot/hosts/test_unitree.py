@@ -1,4 +1,5 @@
-"""The whole stack drives the Unitree backend, with the simulated Go2-W behind the wire format: goals, and a fault on the way."""
+"""The whole stack drives the Unitree backend, with the simulated Go2-W behind the wire format: goals, and a fault on
+the way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Commands of `rbtrg-robot` beside a live stack: what starts, stops or moves as a process, what only asks in this process."""
+"""Commands of `rbtrg-robot` beside a live stack: what starts, stops or moves as a process, what only asks in this
+process."""
 
 from __future__ import annotations
 

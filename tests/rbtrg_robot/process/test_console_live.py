@@ -89,7 +89,8 @@ def test_a_press_on_the_ground_moves_the_robot_and_stop_makes_it_stand(address: 
         until(
             page,
             "!!window.consoleView && consoleView.world.pose && consoleView.ground.tiles.size > 3 "
-            "&& document.body.dataset.fresh === 'live' && document.querySelector('#lease').textContent === 'you operate'",
+            "&& document.body.dataset.fresh === 'live' && document.querySelector('#lease').textContent === "
+            "'you operate'",
             LIMIT,
         )
         page.click("#follow")  # the ground stays under the mouse

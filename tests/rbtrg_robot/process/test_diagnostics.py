@@ -30,7 +30,8 @@ ROBOT = {
     "refused": {"stale": 3}, "localization": "good", "localization_reason": "", "map_warning": "",
     "x": 1.0, "y": 2.0, "z": 0.4, "yaw": 0.1, "speed": 0.2, "yaw_rate": 0.3, "pose_age": 0.01, "location": "found",
     "tracker": "tracking", "tracker_hold": "", "tracker_slow": "a slope",
-    "goal": {"id": "g1", "state": "moving", "reason": "", "detail": "", "x": 4.0, "y": 0.0, "distance_left": 3.0, "replans": 1, "recoveries": 2, "p_fail": 0.02, "chance": "98 % to arrive"},
+    "goal": {"id": "g1", "state": "moving", "reason": "", "detail": "", "x": 4.0, "y": 0.0, "distance_left": 3.0,
+    "replans": 1, "recoveries": 2, "p_fail": 0.02, "chance": "98 % to arrive"},
     "advice": {"late telemetry": "check the cable"},
     "calibration": "", "lidars": {"main": {"time_offset": 0.0101, "sigma": 0.0002, "applied": 0.0098}},
 }  # fmt: skip
@@ -81,7 +82,8 @@ ALL_WELL = {
         (status(age=5.0), dict.fromkeys([n for n in ALL_WELL if n not in ("stack", "topics", "network")], STALE)),
         (
             status(state="failed: no scene", age=None),
-            {**dict.fromkeys([n for n in ALL_WELL if n.startswith("process")], ERROR), **dict.fromkeys(("robot", "odometry", "map", "goal", "tracker", "mission"), STALE)},
+            {**dict.fromkeys([n for n in ALL_WELL if n.startswith("process")], ERROR),
+            **dict.fromkeys(("robot", "odometry", "map", "goal", "tracker", "mission"), STALE)},
         ),
         (status(tracker_hold="/odom is 0.9 s old"), {"tracker": WARN}),
         (status(goal=ROBOT["goal"] | {"state": "aborted", "reason": "stuck"}), {"goal": WARN}),

@@ -1,4 +1,5 @@
-"""`down` beside a supervisor that does not do as it is told: everything ends all the same, and the operator hears of it."""
+"""`down` beside a supervisor that does not do as it is told: everything ends all the same, and the operator hears of
+it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Two real `up` on one router: what one is told does not reach the other, both are seen from one place, a third of their name is refused."""
+"""Two real `up` on one router: what one is told does not reach the other, both are seen from one place, a third of
+their name is refused."""
 
 from __future__ import annotations
 

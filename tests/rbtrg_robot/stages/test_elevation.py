@@ -152,7 +152,8 @@ def test_the_ground_around_the_start_is_entered_when_the_head_lidar_looks_at_it(
 
 @pytest.mark.parametrize(("axis", "sigma"), [(2, 0.1), (3, 0.05), (4, 0.05)])
 def test_cells_are_as_uncertain_as_the_pose(axis: int, sigma: float) -> None:
-    """Of an odometry that knows its height to 0.1 m, or roll or pitch to 0.05 rad; most cells are more than 4 m away."""
+    """Of an odometry that knows its height to 0.1 m, or roll or pitch to 0.05 rad; most cells are more than 4 m
+    away."""
     covariance = np.zeros((6, 6))
     covariance[axis, axis] = sigma**2
     variances = []

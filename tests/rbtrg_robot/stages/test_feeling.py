@@ -1,4 +1,5 @@
-"""What the robot process makes of a touch: it stands, says where, lets go after a while, and lifts wheels only onto what the map has."""
+"""What the robot process makes of a touch: it stands, says where, lets go after a while, and lifts wheels only onto
+what the map has."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ FREE = (1.0, 1.0, 1.0, 1.0, "")
 
 
 class Pressed:
-    """A robot that drives at `vx` while something pushes at its body with 100 N [wheels carry nothing that would explain it]."""
+    """A robot that drives at `vx` while something pushes at its body with 100 N [wheels carry nothing that would
+    explain it]."""
 
     def __init__(self, vx: float = 0.4, uneven: float = 0.0) -> None:
         self.feeling = Feeling(go2w.LIMBS, describe().body)

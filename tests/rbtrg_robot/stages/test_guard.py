@@ -49,7 +49,8 @@ class Around:
             self.stage.on(topic, decode(encode(message), topic.kind))
 
     def tick(self, height: Any, points: Any = (), **others: Any) -> msg.MotionLimits:
-        """A tenth of a second: `height(forward, left)` of the ground [m], `others` layers of the map, `points` (n, 3) [m] in base_link."""
+        """A tenth of a second: `height(forward, left)` of the ground [m], `others` layers of the map, `points` (n, 3)
+        [m] in base_link."""
         self.now += NS // 10
         corner = (round(START[0] / RES) - 70) * RES, round(START[1] / RES - 70) * RES
         x, y = np.meshgrid(corner[0] + RES * np.arange(141), corner[1] + RES * np.arange(141))
@@ -162,7 +163,8 @@ def test_ground_that_the_map_does_not_trust_is_ground_nobody_saw() -> None:
 
 
 def test_where_the_map_knows_no_ground_at_all_nothing_moves() -> None:
-    """What a sweep sees is told by its height above the ground: without any, a wall before the robot was taken for something high above it."""
+    """What a sweep sees is told by its height above the ground: without any, a wall before the robot was taken for
+    something high above it."""
     around = Around()
     around.position = (0.0, 0.0, 5.4)
     wall = [[0.6, y, z] for y in np.linspace(-0.3, 0.3, 20) for z in (-0.1, 0.0, 0.1)]

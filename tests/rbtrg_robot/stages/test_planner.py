@@ -32,7 +32,8 @@ def patch(
     stamp: int = NS,
     bound: float = np.nan,
 ) -> Any:
-    """Map message; `cell` is the lattice row and column of cell [0, 0], `bound` [m] what rays tell of the cells that are not trusted."""
+    """Map message; `cell` is the lattice row and column of cell [0, 0], `bound` [m] what rays tell of the cells that
+    are not trusted."""
     layers = {name: np.zeros(height.shape, np.float32) for name in PATCH_LAYERS}
     layers["trusted"] = (np.ones(height.shape) if trusted is None else trusted).astype(np.float32)
     layers["elevation"] = np.where(layers["trusted"] > 0, height, np.nan).astype(np.float32)
@@ -266,7 +267,8 @@ def test_what_the_navigator_wants_avoided_is_driven_around() -> None:
 
 
 def test_a_place_to_avoid_in_which_the_robot_stands_does_not_hold_it() -> None:
-    # A robot that got stuck three times beside a wall slid into a disc around one of these places, and found no way for 5 s.
+    # A robot that got stuck three times beside a wall slid into a disc around one of these places, and found no way for
+    # 5 s.
     stage = planner()
     stage.on(t.MAP_UPDATE, patch(np.zeros((100, 150))))
     avoid = np.array([1.6, 1.8, 0.3, 3.0, 2.0, 0.5])
@@ -396,7 +398,8 @@ def test_a_baseline_plans_in_the_planners_place_and_its_path_is_watched() -> Non
 
 
 def hidden(ground: np.ndarray, bound: np.ndarray) -> Any:
-    """Map message of `ground` (cols,) [m] along x in a lane 1.2 m wide; NaN: not seen, but known to be below `bound` (cols,) [m]."""
+    """Map message of `ground` (cols,) [m] along x in a lane 1.2 m wide; NaN: not seen, but known to be below `bound`
+    (cols,) [m]."""
     layers = {name: np.zeros((60, len(ground)), np.float32) for name in PATCH_LAYERS}
     layers["elevation"][:] = ground
     layers["elevation"][:15], layers["elevation"][45:] = 0.8, 0.8

@@ -29,7 +29,8 @@ from tests.rbtrg_robot.stages.test_planner import ask, patch, planner
 def test_a_way_that_was_lost_is_searched_in_other_graphs_before_another_is_driven(
     good: int, drawn: int, narrow: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In graphs of seeds below `good` the passage holds no edge: the plan ends before it, or leads a dear way around."""
+    """In graphs of seeds below `good` the passage holds no edge: the plan ends before it, or leads a dear way
+    around."""
     stage = planner()
     stage.on(t.MAP_UPDATE, patch(np.zeros((75, 150))))
     assert ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal
@@ -89,7 +90,8 @@ def test_where_there_is_no_way_other_graphs_are_searched_at_once(monkeypatch: py
 
 
 def commanded(plan: msg.Plan) -> np.ndarray:
-    """(n, 2) x of base_link [m] and the speed [m/s] that navigator and tracker ask for there, of a robot that does at once what it is told."""
+    """(n, 2) x of base_link [m] and the speed [m/s] that navigator and tracker ask for there, of a robot that does at
+    once what it is told."""
     stage = tracker.build(load(None, [], scene="flat", controller="vmc"))
     stage.on(t.TF_STATIC, map_offset())
     stage.on(t.PATH_COMMAND, PathOrder().route(NS, plan, creep=0.1))
@@ -111,7 +113,8 @@ def commanded(plan: msg.Plan) -> np.ndarray:
 
 
 def test_ground_of_which_a_part_was_not_seen_comes_under_the_leading_wheels_slowly() -> None:
-    """A lane 0.6 m wide. Beside its middle, under the left wheels, 9 cm were not seen from x = 2.4 to 3 m; rays passed 2 cm above them."""
+    """A lane 0.6 m wide. Beside its middle, under the left wheels, 9 cm were not seen from x = 2.4 to 3 m; rays passed
+    2 cm above them."""
     fastest = []
     for last in (75, 60):  # then all of it was seen
         ground = np.full((60, 150), 0.8)

@@ -1,6 +1,7 @@
 """An independent ROS 2 client (zenoh-ros2-sdk) as a program of its own: `python ros2_client.py PORT FOLDER X Y`.
 
-It joins late, discovers the topics, waits for one message of each it reads, sends a goal, and prints what it found as JSON. FOLDER holds
+It joins late, discovers the topics, waits for one message of each it reads, sends a goal, and prints what it found as
+JSON. FOLDER holds
 the .msg files; the client must not fetch any.
 """
 

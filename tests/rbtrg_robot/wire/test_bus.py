@@ -76,7 +76,8 @@ def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint:
 def test_a_message_that_comes_under_the_key_of_another_topic_is_refused(
     router: Bus, endpoint: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Zenoh 1.10 mixes keys up while sessions come back to a router that hung: the IMU's messages came as odometry; truth would decode as such."""
+    """Zenoh 1.10 mixes keys up while sessions come back to a router that hung: the IMU's messages came as odometry;
+    truth would decode as such."""
     payload = encode(msg.Odometry(header=header(5, "odom"), child_frame_id="base_link"))
     with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
         b.subscribe([t.ODOM, t.GOAL_STATUS])
@@ -115,7 +116,8 @@ def test_a_slow_reader_keeps_the_newest(router: Bus, endpoint: str) -> None:
         for i in range(49):
             a.publish(t.CMD_VEL, t.CMD_VEL.kind(header=header(i, "base_link")), i)
         seen: list[Received] = []
-        # The two topics have queues of their own: either end may come first. On a computer that has no time for 20 ms Zenoh drops the last of a
+        # The two topics have queues of their own: either end may come first. On a computer that has no time for 20 ms
+        # Zenoh drops the last of a
         # burst, so they are sent until they come.
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
@@ -192,7 +194,8 @@ def test_the_death_of_a_process_is_seen(router: Bus, endpoint: str) -> None:
 
 
 def test_a_foreign_node_of_the_same_name_changes_nothing(endpoint: str) -> None:
-    """Any ROS node may be called tracker; its end is not the tracker's, and its life does not hide the tracker's death."""
+    """Any ROS node may be called tracker; its end is not the tracker's, and its life does not hide the tracker's
+    death."""
     stack = stack_id()
     changes: list[tuple[str, bool]] = []
     turn = threading.Condition()

@@ -1,4 +1,5 @@
-"""A ROS 2 client that is not ours sees the robot as a ROS graph: topics, types, data, latched messages for late joiners, goals."""
+"""A ROS 2 client that is not ours sees the robot as a ROS graph: topics, types, data, latched messages for late
+joiners, goals."""
 
 from __future__ import annotations
 
@@ -95,7 +96,8 @@ def test_an_independent_client_discovers_reads_joins_late_and_sends_a_goal(
 def test_a_late_advanced_subscriber_of_plain_zenoh_gets_what_is_latched(
     topic: t.Topic, endpoint: str
 ) -> None:
-    """rmw_zenoh's transient-local subscription. The client above finds the latched publishers of topics without an inner slash only."""
+    """rmw_zenoh's transient-local subscription. The client above finds the latched publishers of topics without an
+    inner slash only."""
     came = threading.Event()
     with Bus(endpoint, "supervisor", router=True), Bus(endpoint, "robot") as robot:
         robot.publish(topic, topic.kind(), 0)

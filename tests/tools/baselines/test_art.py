@@ -29,7 +29,8 @@ def pose(x: float, y: float, z: float, *angles: float) -> np.ndarray:
 
 
 def met(height: np.ndarray, centre: np.ndarray, rotation: np.ndarray, half: np.ndarray) -> bool:
-    """The same question in plain numpy: all vertices and all edges of the grid, clipped by the six planes of the box."""
+    """The same question in plain numpy: all vertices and all edges of the grid, clipped by the six planes of the
+    box."""
     rows, cols = height.shape
     c, r = np.meshgrid(np.arange(cols), np.arange(rows))
     vertices = np.stack([c * RES, r * RES, height], axis=2)

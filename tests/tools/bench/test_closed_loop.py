@@ -1,4 +1,5 @@
-"""The closed-loop study: its draws, its walls, its statistics, its records, and that it goes on where it was cut off."""
+"""The closed-loop study: its draws, its walls, its statistics, its records, and that it goes on where it was cut
+off."""
 
 from __future__ import annotations
 
@@ -29,9 +30,12 @@ QUERY = 1
 def made_up(method, scene, query, draw, success, eligible=True):
     return {
         "key": f"{scene}.{query}.{method}.{draw}", "scene": scene, "query": query, "method": method, "draw": draw,
-        "controller": "vmc", "colliders": "all", "routed": True, "eligible": eligible, "success": success, "strict": success,
-        "end": "arrived" if success else "stalled", "cause": "" if success else "wedged", "wall": query == 0, "time": 10.0,
-        "length": 5.0, "rmse": 0.05 if method == "full" else 0.06, "contact": 0.1, "contact_housing": 0.1, "contact_trunk": 0.0,
+        "controller": "vmc", "colliders": "all", "routed": True, "eligible": eligible, "success": success,
+        "strict": success,
+        "end": "arrived" if success else "stalled", "cause": "" if success else "wedged", "wall": query == 0,
+        "time": 10.0,
+        "length": 5.0, "rmse": 0.05 if method == "full" else 0.06, "contact": 0.1, "contact_housing": 0.1,
+        "contact_trunk": 0.0,
         "contact_leg": 0.0, "slip": 0.2, "pitch95": 10.0, "roll95": 5.0, "cpu": 1.0, "simulated": 13.0,
     }  # fmt: skip
 

@@ -23,7 +23,8 @@ def step(body: float, risk: float = 0.0) -> dict[str, float]:
 def route(method: str, second: tuple[float, float], body: float) -> Route:
     vertices = [[0.0, 0.0], [1.0, 0.0], list(second), [3.0, 0.0]]
     return Route(
-        SCENE, 0, method, "", line=vertices, vertices=vertices, length=3.0, transitions=[step(0.1), step(body), step(0.2)]
+        SCENE, 0, method, "", line=vertices, vertices=vertices, length=3.0,
+        transitions=[step(0.1), step(body), step(0.2)]
     )  # fmt: skip
 
 
@@ -34,8 +35,10 @@ def driven(method: str, draw: int, success: bool, x: float) -> dict[str, object]
         for t in np.arange(0.0, 2.0 * x + 10.0, 0.2).tolist()
     ]
     return {
-        "scene": SCENE, "query": 0, "method": method, "draw": draw, "controller": "policy", "colliders": "all", "success": success,
-        "eligible": True, "end": "arrived" if success else "stalled", "cause": "" if success else "wedged", "time": 2.0 * x,
+        "scene": SCENE, "query": 0, "method": method, "draw": draw, "controller": "policy", "colliders": "all",
+        "success": success,
+        "eligible": True, "end": "arrived" if success else "stalled", "cause": "" if success else "wedged",
+        "time": 2.0 * x,
         "pitch95": 12.0, "contact_trunk": 0.25, "contact_leg": 0.0, "trace": trace,
     }  # fmt: skip
 

@@ -22,7 +22,8 @@ from tools.train.settings import HIDDEN, Physics, Ppo, Settings
 
 def test_advantages_of_three_steps_by_hand() -> None:
     experience = ppo.Experience(
-        known=np.zeros((3, 1, 1), np.float32), action=np.zeros((3, 1, 16), np.float32), chance=np.zeros((3, 1), np.float32),
+        known=np.zeros((3, 1, 1), np.float32), action=np.zeros((3, 1, 16), np.float32),
+        chance=np.zeros((3, 1), np.float32),
         mean=np.zeros((3, 1, 16), np.float32), value=np.array([[1.0], [2.0], [3.0], [4.0]], np.float32),
         reward=np.array([[1.0], [1.0], [1.0]], np.float32), ended=np.array([[False], [True], [False]]),
     )  # fmt: skip

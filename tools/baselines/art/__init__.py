@@ -1,4 +1,5 @@
-"""ART (leggedrobotics/art_planner): a roadmap of body poses whose legs reach the ground and whose torso does not touch it."""
+"""ART (leggedrobotics/art_planner): a roadmap of body poses whose legs reach the ground and whose torso does not touch
+it."""
 
 from tools.baselines.art.params import ArtParams
 from tools.baselines.art.plan import plan, unmasked

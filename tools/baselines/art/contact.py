@@ -10,9 +10,11 @@ from numba import njit
 
 @njit(cache=True)
 def touches(height, x0, y0, res, centre, rotation, half):
-    """Whether an oriented box meets the surface: a vertex of the grid lies in it, or an edge between two cells passes through it.
+    """Whether an oriented box meets the surface: a vertex of the grid lies in it, or an edge between two cells passes
+    through it.
 
-    height (rows, cols) [m], not finite = hole; x0, y0 [m] middle of cell [0, 0]; rotation (3, 3) world <- box. A box wholly below the
+    height (rows, cols) [m], not finite = hole; x0, y0 [m] middle of cell [0, 0]; rotation (3, 3) world <- box. A box
+    wholly below the
     surface does not touch it.
     """
     rows, cols = height.shape
@@ -90,7 +92,8 @@ def rotation_of(q):
 def valid(height, masked, x0, y0, res, boxes, pose):
     """Whether every foot box of the pose reaches the masked surface and the torso does not touch the whole one.
 
-    pose (7,): x, y, z [m], quaternion w, x, y, z of the feet's plane. A foot off the map is not valid, a torso off it is.
+    pose (7,): x, y, z [m], quaternion w, x, y, z of the feet's plane. A foot off the map is not valid, a torso off it
+    is.
     """
     rows, cols = height.shape
     rotation = rotation_of(pose[3:])
@@ -130,7 +133,8 @@ def half_angle(p, q):
 
 @njit(cache=True)
 def way_is_valid(height, masked, x0, y0, res, boxes, a, b, step, turn):
-    """Whether the poses between a and b are valid, at most `step` [m] and `turn` [rad of half angle] apart; the ends are not tested."""
+    """Whether the poses between a and b are valid, at most `step` [m] and `turn` [rad of half angle] apart; the ends
+    are not tested."""
     angle = half_angle(a[3:], b[3:])
     dx, dy, dz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     count = math.ceil(max(math.sqrt(dx * dx + dy * dy + dz * dz) / step, angle / turn))

@@ -34,7 +34,8 @@ class Layers:
 
 
 def layers(grid: ElevationGrid, p: ArtParams) -> Layers:
-    """All seen ground is traversable; unseen ground is not, but for holes. Unseen heights are filled as the project fills them.
+    """All seen ground is traversable; unseen ground is not, but for holes. Unseen heights are filled as the project
+    fills them.
 
     Without `masks` all ground is, as in a run of the release that no traversability layer is given to.
     """
@@ -61,7 +62,8 @@ def layers(grid: ElevationGrid, p: ArtParams) -> Layers:
 
 
 def density(base: Layers, vertices: NDArray[np.int64], sigma: float, unknown_mass: float) -> Array:
-    """(rows, cols) chance of each cell to be drawn: less where vertices (n, 2; row, column) are within `sigma` cells."""
+    """(rows, cols) chance of each cell to be drawn: less where vertices (n, 2; row, column) are within `sigma`
+    cells."""
     count = np.zeros(base.height.shape)
     np.add.at(count, (vertices[:, 0], vertices[:, 1]), 1.0)
     reach = math.ceil(3.0 * sigma)
@@ -134,7 +136,8 @@ def _extreme(values, size, largest):
 
 @njit(cache=True)
 def normals(height, res, reach):
-    """(rows, cols, 3) mean of the unit normals of crosses with arms of 1 to `reach` cells, straight and diagonal; (rows, cols) largest
+    """(rows, cols, 3) mean of the unit normals of crosses with arms of 1 to `reach` cells, straight and diagonal;
+    (rows, cols) largest
     height difference over an arm's ends [m].
     """
     rows, cols = height.shape

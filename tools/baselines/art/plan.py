@@ -25,7 +25,8 @@ PART = 0.01
 def plan(grid: ElevationGrid, request: PlanRequest, params: ArtParams | None = None, seed: int = 0) -> Plan:
     """The route for `request` between two positions: the cheapest over a roadmap of `milestones` valid poses.
 
-    The plan begins and ends at the positions asked for; the poses next to them were found within `start_radius` and `goal_radius`. Same
+    The plan begins and ends at the positions asked for; the poses next to them were found within `start_radius` and
+    `goal_radius`. Same
     arguments, same route. Raises NoRoute.
     """
     p = params or ArtParams()

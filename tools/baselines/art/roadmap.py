@@ -19,7 +19,8 @@ def yaw_of(q):
 
 @njit(cache=True)
 def seconds(a, b, speed):
-    """Time [s] from pose a to b (7,) at the largest speeds along, across and in yaw, all at once; height is left out."""
+    """Time [s] from pose a to b (7,) at the largest speeds along, across and in yaw, all at once; height is left
+    out."""
     yaw = yaw_of(a[3:])
     dx, dy = b[0] - a[0], b[1] - a[1]
     c, s = math.cos(yaw), math.sin(yaw)
@@ -29,7 +30,8 @@ def seconds(a, b, speed):
 
 @njit(cache=True)
 def connect(poses, speed):
-    """Edges (m, 2) and costs (m,): each pose to the ceil((e + e/6) ln n) nearest of the n before it, in space plus half angle."""
+    """Edges (m, 2) and costs (m,): each pose to the ceil((e + e/6) ln n) nearest of the n before it, in space plus half
+    angle."""
     n = poses.shape[0]
     factor = math.e + math.e / 6.0
     most = math.ceil(factor * math.log(max(n, 2))) + 1

@@ -24,7 +24,8 @@ class THybridParams(BaseModel):
     risk_floor: float = Field(
         default=0.05,
         ge=0.0,
-        description="least risk of a step; without one, level noiseless ground costs nothing and the search does not progress",
+        description="least risk of a step; without one, level noiseless ground costs nothing and the search "
+        "does not progress",
     )
     budget: int = Field(default=80_000, ge=1, description="pops of the open list; then it gives up")
     released_quirks: bool = Field(

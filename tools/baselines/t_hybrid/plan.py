@@ -23,10 +23,12 @@ def plan(
     params: THybridParams | None = None,
     terrain: HybridMap | None = None,
 ) -> Plan:
-    """The route for `request` between two positions. Without a start yaw it begins at any heading; without a goal yaw the bearing from
+    """The route for `request` between two positions. Without a start yaw it begins at any heading; without a goal yaw
+    the bearing from
     start to goal guides the search. `terrain`: the assessment of this map, where there is one.
 
-    Raises NoRoute, also when the budget is used up: the release then drives a partial path, the paper counts an abstention.
+    Raises NoRoute, also when the budget is used up: the release then drives a partial path, the paper counts an
+    abstention.
     """
     p = params or THybridParams()
     start, goal = places(grid, request)

@@ -1,4 +1,5 @@
-"""Length of the shortest path of a car that drives forward and backward (Reeds and Shepp 1990, formulas 8.1 to 8.11)."""
+"""Length of the shortest path of a car that drives forward and backward (Reeds and Shepp 1990, formulas 8.1 to
+8.11)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Hybrid A* on the assessed terrain, after Kurzer: continuous poses, one per bin of cell and heading. Lengths in cells."""
+"""Hybrid A* on the assessed terrain, after Kurzer: continuous poses, one per bin of cell and heading. Lengths in
+cells."""
 
 from __future__ import annotations
 

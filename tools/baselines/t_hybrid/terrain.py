@@ -60,7 +60,8 @@ def assess(grid: ElevationGrid, params: THybridParams) -> HybridMap:
 def assess_points(
     points: NDArray[np.float64], origin: tuple[float, float], shape: tuple[int, int], params: THybridParams
 ) -> HybridMap:
-    """Assess points (n, 3) [m] on `shape` (rows, cols) cells from the corner `origin` x, y [m]. Their order counts, see `_judge`."""
+    """Assess points (n, 3) [m] on `shape` (rows, cols) cells from the corner `origin` x, y [m]. Their order counts, see
+    `_judge`."""
     rows, cols = shape
     p = np.ascontiguousarray(points, np.float64) - (*origin, 0.0)
     # A ring's squares may reach beyond the last cell.
@@ -113,7 +114,8 @@ def _assess(points, first, stride, cell, max_slope, ring, flag, rough, normal):
 
 @njit(cache=True)
 def _judge(window, own, max_slope, flag, rough, normal, r, c):
-    """Judge one cell by its window of points. Of the release: the residuals tested are those of the first `own` points."""
+    """Judge one cell by its window of points. Of the release: the residuals tested are those of the first `own`
+    points."""
     if window.shape[0] < 3:
         return
     low = window[:, 2].min()

@@ -1,7 +1,9 @@
 """The paper's closed-loop study: every method's routes driven with the true pose on four rescue scenes.
 
-`python -m tools.bench closed_loop --out DIR --policy DIR` writes `routes.jsonl` and `trials.jsonl` (one line each as they come; what
-stands there is not computed again), then `tables.md` and pictures. `docs/measurements/evaluation.md` has the protocol and the results.
+`python -m tools.bench closed_loop --out DIR --policy DIR` writes `routes.jsonl` and `trials.jsonl` (one line each as
+they come; what
+stands there is not computed again), then `tables.md` and pictures. `docs/measurements/evaluation.md` has the protocol
+and the results.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ Key = tuple[str, int, str, str]
 
 
 def run(args: list[str]) -> Report:
-    """Run this bench with the arguments of its command line; returns its rows. `why ...` and `film ...` look at a study's records."""
+    """Run this bench with the arguments of its command line; returns its rows. `why ...` and `film ...` look at a
+    study's records."""
     if args[:1] in (["why"], ["film"]):
         return importlib.import_module(f"tools.bench.closed_loop.{args[0]}").run(args[1:])  # type: ignore[no-any-return]
     options = _options(args)

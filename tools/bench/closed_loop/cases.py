@@ -56,7 +56,8 @@ class Case:
 def cases(
     records: Sequence[Record], routes: Sequence[Route], methods: tuple[str, str], setting: tuple[str, str]
 ) -> list[Case]:
-    """Of two methods that share a graph, with a controller and a collider set: queries whose routes part and whose outcomes differ."""
+    """Of two methods that share a graph, with a controller and a collider set: queries whose routes part and whose
+    outcomes differ."""
     lines = {(r.scene, r.query, r.method): r for r in routes}
     mine = {
         (r["scene"], r["query"], r["draw"], r["method"]): r

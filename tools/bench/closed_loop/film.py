@@ -1,4 +1,5 @@
-"""Films of trials: `python -m tools.bench closed_loop film --out DIR KEY..` drives trials of a study again and writes KEY.mp4."""
+"""Films of trials: `python -m tools.bench closed_loop film --out DIR KEY..` drives trials of a study again and writes
+KEY.mp4."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ def shoot(
 
 
 def strip(file: Path, case: Case, policy: str) -> None:
-    """One draw in which one of two methods arrived: both routes from above, the drive that did not arrive around its end, the other on its way."""
+    """One draw in which one of two methods arrived: both routes from above, the drive that did not arrive around its
+    end, the other on its way."""
     pair = case.parted[0]
     for candidate in case.parted:  # better one that drove
         if all(r["eligible"] for r in candidate):

@@ -1,4 +1,5 @@
-"""To and fro on a line, as in the ICRA Legged Robot Challenge: traverses in 5 minutes, at most 10, falls, interventions.
+"""To and fro on a line, as in the ICRA Legged Robot Challenge: traverses in 5 minutes, at most 10, falls,
+interventions.
 
 `--endurance` goes on for 30 repetitions, the number after ASTM E54's tests (E3380 on continuous ramps is of that kind).
 """
@@ -34,7 +35,8 @@ def back(route: Route) -> Route:
 
 
 def drive(trial: p.Trial, route: Route, policy: str = "", endurance: bool = False) -> dict[str, Any]:
-    """The record: traverses, falls, interventions, time [s]. After a lost traverse the robot is put where that traverse began; the clock
+    """The record: traverses, falls, interventions, time [s]. After a lost traverse the robot is put where that traverse
+    began; the clock
     runs on. A line on whose start the robot cannot stand ends the run.
     """
     given = p.conditions(trial)

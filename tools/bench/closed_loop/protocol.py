@@ -1,4 +1,5 @@
-"""The protocol of the closed-loop study: everything that was fixed before a result was seen. `docs/measurements/evaluation.md` gives the reasons."""
+"""The protocol of the closed-loop study: everything that was fixed before a result was seen.
+`docs/measurements/evaluation.md` gives the reasons."""
 
 from __future__ import annotations
 
@@ -18,16 +19,19 @@ MOST_QUERIES = 40
 SHARED = ("native", "edge-only", "mean-only", "full", "refined")
 """Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
 OWN = ("guarded", "ours")
-"""`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see `routes`."""
+"""`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see
+`routes`."""
 BASELINES = {
     "t_hybrid": "tools.baselines.t_hybrid:plan",
     "art": "tools.baselines.art:plan",
     "art-unmasked": "tools.baselines.art:unmasked",
 }
-"""Planners of others between the same snapped endpoints. T-Hybrid's line is driven as it is, ART's is smoothed like the graphs'.
+"""Planners of others between the same snapped endpoints. T-Hybrid's line is driven as it is, ART's is smoothed like the
+graphs'.
 `art-unmasked`: its feet may stand on unseen ground."""
 PERCEIVED = ("ours-mapped", "ours-seen")
-"""The whole stack, which is told its start and nothing else of the truth: with the survey as prior map, or with what it sees on its way."""
+"""The whole stack, which is told its start and nothing else of the truth: with the survey as prior map, or with what it
+sees on its way."""
 METHODS = (*SHARED, *OWN, *BASELINES, *PERCEIVED)
 COLLIDERS = ("all", "vendor")
 """`all`: ours; `vendor`: without wheel-motor housings, as in the vendor's model."""

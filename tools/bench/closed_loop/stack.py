@@ -1,4 +1,5 @@
-"""One query driven by the whole stack in lockstep: it knows its start, its goal and what its sensors and its map say, not the truth."""
+"""One query driven by the whole stack in lockstep: it knows its start, its goal and what its sensors and its map say,
+not the truth."""
 
 from __future__ import annotations
 
@@ -51,7 +52,8 @@ def files(scene: str) -> tuple[str, str]:
 
 
 def drive(trial: p.Trial, route: Route, policy: str = "") -> dict[str, Any]:
-    """The record of a trial. `route` is the line of `ours`: the robot begins along it, and looks at the goal where there is none.
+    """The record of a trial. `route` is the line of `ours`: the robot begins along it, and looks at the goal where
+    there is none.
 
     Depends on its arguments alone.
     """
@@ -79,7 +81,8 @@ def drive(trial: p.Trial, route: Route, policy: str = "") -> dict[str, Any]:
 
 
 def stands(config: StackConfig, placed: Pose) -> Pose:
-    """x, y [m], yaw [rad] at which odometry begins when the robot is put at `placed`: on rubble it moves while it takes its stance."""
+    """x, y [m], yaw [rad] at which odometry begins when the robot is put at `placed`: on rubble it moves while it takes
+    its stance."""
     with Lockstep(config.model_copy(update={"without": WITHOUT})) as stack:
         try:
             stack.run_until(lambda: t.ODOM in stack.newest, SETTLING, "odometry")

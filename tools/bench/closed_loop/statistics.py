@@ -52,7 +52,8 @@ def sums(
 
 
 def resampled(scenes: dict[str, Array], seed: int = 0) -> Array:
-    """(RESAMPLES,) ratio of summed values to summed numbers; queries are drawn within their scene, the same for the same seed."""
+    """(RESAMPLES,) ratio of summed values to summed numbers; queries are drawn within their scene, the same for the
+    same seed."""
     rng = np.random.default_rng(seed)
     total = np.zeros((RESAMPLES, 2))
     for scene in sorted(scenes):

@@ -67,7 +67,8 @@ FALLS = ("fall", "off an edge")
 
 
 def _mean(records: Sequence[Record], name: str) -> float:
-    """NaN for what these trials do not have, such as the distance from a line where the stack makes new ones on its way."""
+    """NaN for what these trials do not have, such as the distance from a line where the stack makes new ones on its
+    way."""
     return float(np.mean([_value(r, name) for r in records]))
 
 

@@ -58,7 +58,8 @@ def tracker_of(trial: p.Trial) -> PathTracker:
 
 
 def drive(trial: p.Trial, route: Route, policy: str = "", see: See | None = None) -> dict[str, Any]:
-    """The record of a trial. Depends on its arguments alone. `see(t, simulation)` is called at 50 Hz, `t` [s] after driving off."""
+    """The record of a trial. Depends on its arguments alone. `see(t, simulation)` is called at 50 Hz, `t` [s] after
+    driving off."""
     began = time.process_time()
     given = p.conditions(trial)
     record: dict[str, Any] = {"key": trial.key, **asdict(trial), **given, "wall": route.wall}

@@ -1,6 +1,8 @@
-"""Why one method arrives where another does not: `python -m tools.bench closed_loop why --out DIR [--methods native,full] [--strips N]`.
+"""Why one method arrives where another does not: `python -m tools.bench closed_loop why --out DIR [--methods
+native,full] [--strips N]`.
 
-For each query with draws in which only one of two methods arrived: where their routes part, what each transition cost, where the other robot ended.
+For each query with draws in which only one of two methods arrived: where their routes part, what each transition cost,
+where the other robot ended.
 Writes `why.md` and film strips to DIR.
 """
 
@@ -53,10 +55,12 @@ def markdown(found: Sequence[Case], methods: tuple[str, str]) -> str:
 def _summary(found: Sequence[Case], methods: tuple[str, str]) -> list[str]:
     """Lost drives that only the other method won: is the worst of the route where it ended?"""
     lines = [
-        'Drives that only the other method finished. B and cost are those of the transition where the drive ended; "worst": how many of these '
+        "Drives that only the other method finished. B and cost are those of the transition where the drive "
+        'ended; "worst": how many of these '
         "drives ended within one transition of the one with the largest B of the route.",
         "",
-        "| lost by | drives | began | B there, median | B of the route, median | largest B of the other route, median | worst |",
+        "| lost by | drives | began | B there, median | B of the route, median | largest B of the other "
+        "route, median | worst |",
         "|---|---|---|---|---|---|---|",
     ]
     for k, method in enumerate(methods):
@@ -86,7 +90,8 @@ def _summary(found: Sequence[Case], methods: tuple[str, str]) -> list[str]:
 def _route(method: str, route: Route) -> list[str]:
     rows = [costs(t) for t in route.transitions]
     lines = [
-        f"**{method}**: {route.length:.2f} m, cost {sum(r[0] for r in rows):.2f} under native, {sum(r[1] for r in rows):.2f} under full"
+        f"**{method}**: {route.length:.2f} m, cost {sum(r[0] for r in rows):.2f} under native, "
+        f"{sum(r[1] for r in rows):.2f} under full"
         f"{', crosses a face above 0.3 m' if route.wall else ''}.",
         "",
         "| transition | to x, y [m] | length [m] | r | B | U | native [m] | full [m] |",
@@ -111,8 +116,10 @@ def _ends(method: str, case: Case, k: int) -> list[str]:
             lines.append(f"- draw {record['draw']}: {record['end']} ({', '.join(record.get('why', []))})")
         else:
             lines.append(
-                f"- draw {record['draw']}: {record['cause']} after {end.time:.1f} s at ({end.place[0]:.2f}, {end.place[1]:.2f}), transition {end.transition}; "
-                f"pitch up to {record['pitch95']:.0f} deg, trunk or legs touch {100 * (record['contact_trunk'] + record['contact_leg']):.0f} % of the time"
+                f"- draw {record['draw']}: {record['cause']} after {end.time:.1f} s at ({end.place[0]:.2f}, "
+                f"{end.place[1]:.2f}), transition {end.transition}; "
+                f"pitch up to {record['pitch95']:.0f} deg, trunk or legs touch "
+                f"{100 * (record['contact_trunk'] + record['contact_leg']):.0f} % of the time"
             )
     return lines
 

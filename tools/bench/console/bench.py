@@ -1,4 +1,5 @@
-"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages, the stop's round trip, when old is called old."""
+"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages, the stop's round trip, when old is
+called old."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ from tools.bench.report import Report
 CPU_PER_PAGE = 5.0
 """[% of a core] a page may cost."""
 STOP_LIMIT = 0.3
-"""[s] until the robot's answer to a stop is on the page, 99 of 100 times: the robot tells its state ten times a second."""
+"""[s] until the robot's answer to a stop is on the page, 99 of 100 times: the robot tells its state ten times a
+second."""
 STALE_LIMIT = 1.0
 """[s]"""
 NAME = "go2w"
@@ -184,7 +186,8 @@ def _stale(robot: Robot) -> float:
         page.goto(console_address(NAME))
         _until(page, "document.body.dataset.fresh === 'live'")
         page.evaluate(
-            "() => new MutationObserver(() => { if (document.body.dataset.fresh === 'stale') window.staleAt ??= Date.now(); })"
+            "() => new MutationObserver(() => { if (document.body.dataset.fresh === 'stale') window.staleAt "
+            "??= Date.now(); })"
             ".observe(document.body, { attributes: true })"
         )
         with robot.lock:

@@ -42,8 +42,10 @@ REFERENCE: dict[str, tuple[tuple[int, int], ...]] = {
     "krail": ((3, 3), (5, 3), (7, 3), (10, 1)),
     "rough": ((2, 3), (4, 3), (6, 3), (8, 3), (12, 3)),
 }
-"""Size and successes of three of the learnt policy in rl_sar's layout, measured with another model of the same robot. Both controllers
-drive all of them; the policy must stay within one success of each, the model-based one has limits where `LEAST` names them."""
+"""Size and successes of three of the learnt policy in rl_sar's layout, measured with another model of the same robot.
+Both controllers
+drive all of them; the policy must stay within one success of each, the model-based one has limits where `LEAST` names
+them."""
 
 REFERENCE_MESH = {"ramp_up_30": 3, "gap_15": 1, "krail_10": 3}
 """Where that measurement differed with meshes for colliders: either will do."""
@@ -55,7 +57,8 @@ TUNED_ON = frozenset(
         *("krail_5", "krail_7"),
     )
 )
-"""Courses that gains were chosen on. The others of `LEAST` were driven after each change to see whether it holds: not tuned, but not blind."""
+"""Courses that gains were chosen on. The others of `LEAST` were driven after each change to see whether it holds: not
+tuned, but not blind."""
 
 UNSEEN = (
     *(
@@ -79,7 +82,8 @@ UNSEEN = (
         "rough_5",
     ),
 )
-"""Sizes and grounds between those of the table, never driven while gains were chosen: driven to report, and only that."""
+"""Sizes and grounds between those of the table, never driven while gains were chosen: driven to report, and only
+that."""
 
 ROBUST_COURSES = (
     "ramp_up_20",

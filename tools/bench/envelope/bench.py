@@ -175,7 +175,8 @@ class _Bench:
         return sum(drive(self.controller, course, k, conditions).passed for k in range(len(RUNS)))
 
     def courses(self) -> None:
-        """Every course of `REFERENCE`; when all are driven, also how those fare that gains were or were not chosen on."""
+        """Every course of `REFERENCE`; when all are driven, also how those fare that gains were or were not chosen
+        on."""
         name, add = self.name, self.report.add
         passed = {True: 0, False: 0}
         driven = {True: 0, False: 0}

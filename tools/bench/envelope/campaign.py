@@ -1,4 +1,5 @@
-"""Measuring an envelope: drive trial after trial where they tell most, and keep what was counted in the controller's file."""
+"""Measuring an envelope: drive trial after trial where they tell most, and keep what was counted in the controller's
+file."""
 
 from __future__ import annotations
 
@@ -203,7 +204,8 @@ def measure(
 ) -> Envelope:
     """Add trials to the file at `path` for `seconds` of wall time, or so many drives; starts it where there is none.
 
-    Which trial comes next depends on the counts and `seed` alone, so a file that is interrupted and gone on with is the same.
+    Which trial comes next depends on the counts and `seed` alone, so a file that is interrupted and gone on with is the
+    same.
     `only`: the beginning of the manoeuvres' names. Raises EnvelopeError for a damaged file.
     """
     model = robot.model()
@@ -231,7 +233,8 @@ def measure(
 
 
 def assumed(measured: Envelope) -> Envelope:
-    """Of the vendor's service on the real robot, which nobody measured: counts of a controller that was, every table marked as assumed.
+    """Of the vendor's service on the real robot, which nobody measured: counts of a controller that was, every table
+    marked as assumed.
 
     An assumed table costs what its bound says, so this is the measured controller with less trust in it.
     """

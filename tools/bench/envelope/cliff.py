@@ -1,4 +1,5 @@
-"""Creeping towards an edge that is far deeper than the robot can descend: does it stay on top, say why, and get away?"""
+"""Creeping towards an edge that is far deeper than the robot can descend: does it stay on top, say why, and get
+away?"""
 
 from __future__ import annotations
 

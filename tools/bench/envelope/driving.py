@@ -107,7 +107,8 @@ def stopping_time(
 ) -> float:
     """Seconds from the first zero command until the trunk is slower than 0.05 m/s for good (watched for 1.5 s).
 
-    The robot drives at `speed` [m/s] along +x, downhill where `degrees` > 0, for the last second with `yaw_rate` [rad/s].
+    The robot drives at `speed` [m/s] along +x, downhill where `degrees` > 0, for the last second with `yaw_rate`
+    [rad/s].
     """
     axis = np.arange(round(10.0 / RESOLUTION)) * RESOLUTION - 5.0
     height = np.broadcast_to(-np.tan(np.radians(degrees)) * axis, (axis.size, axis.size)).astype(np.float32)
@@ -127,7 +128,8 @@ def stopping_time(
 
 
 def real_time_factor(controller: Locomotion, seconds: float = 6.0) -> tuple[float, float, float]:
-    """Simulated over processor time at 5 ms on 500 x 500 cells: physics with the controller, physics alone. Best of three.
+    """Simulated over processor time at 5 ms on 500 x 500 cells: physics with the controller, physics alone. Best of
+    three.
 
     The third figure is the processor time of one control tick [s], state and command included.
     """

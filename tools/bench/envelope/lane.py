@@ -1,6 +1,7 @@
 """Driving through rescue lanes along their middle with the project's tracker on the true pose, without map and planner.
 
-What lanes ask of a controller and single obstacles do not: short run-ups, bends astride faces, headings that are off, standing
+What lanes ask of a controller and single obstacles do not: short run-ups, bends astride faces, headings that are off,
+standing
 against a face while the tracker steers.
 """
 
@@ -21,7 +22,8 @@ from tools.bench.envelope.trial import DT, TIPPED
 LANES = tuple(range(100, 124, 4))
 """Seeds of lanes in the layout `single`, for work."""
 WAYS = ((0.4, 0.10, 1.0), (0.3, -0.08, 2.5))
-"""Speed [m/s], and amplitude [m] and phase [rad] of a weave of 2.4 m, as a planned path weaves: headings to 0.26 rad off."""
+"""Speed [m/s], and amplitude [m] and phase [rad] of a weave of 2.4 m, as a planned path weaves: headings to 0.26 rad
+off."""
 TRACK_EVERY = 4
 """Ticks of `DT` per step of the tracker: 50 Hz."""
 STUCK = 5.0

@@ -1,6 +1,7 @@
 """One trial of one manoeuvre: the ground it needs, the line the robot is to follow there, and how the attempt ended.
 
-Locomotion alone: no perception, no map, the true pose steers. The face, post or gap has the size of the cell of the envelope's table;
+Locomotion alone: no perception, no map, the true pose steers. The face, post or gap has the size of the cell of the
+envelope's table;
 friction, payload, start, speed and what else a robot meets differently each time are drawn at random (`DRAWN`).
 """
 
@@ -43,7 +44,8 @@ MAX_TILT = math.cos(math.radians(40.0))
 MAX_ASIDE, MAX_OFF = 0.10, math.radians(20.0)
 """Off its line [m, rad] beyond which the robot slid or was turned."""
 ROUGH_ASIDE, ROUGH_OFF = 0.25, math.radians(45.0)
-"""The same among posts and in turns, off the arc or off where a radian of a turn on the spot began: posts turn the robot aside and wheels
+"""The same among posts and in turns, off the arc or off where a radian of a turn on the spot began: posts turn the
+robot aside and wheels
 roll on while it turns, and the tracker drives back."""
 MAX_CRAB, CRAB_TIME = 0.5, 0.7
 """Largest drift off the heading that is steered against [rad], and over which time it is told [s]."""
@@ -54,7 +56,8 @@ LEAST_PROGRESS = 0.02
 LONGEST_TRIAL = 30.0
 """[s]; who needs longer is stuck."""
 TRUNK_FORCE, TOUCH_TIME = 20.0, 0.3
-"""Normal force on the trunk [N], and for how long on end [s]: it lies on what it touches. A belly that hits the nose of a stair on the
+"""Normal force on the trunk [N], and for how long on end [s]: it lies on what it touches. A belly that hits the nose of
+a stair on the
 way up does so for less, and all such drives came up."""
 JUDGE_EVERY = 4
 """Physics steps between two looks of the judge."""
@@ -235,7 +238,8 @@ def _straight(
     d: Draw,
     rough: bool = False,
 ) -> Trial:
-    """Along the x axis from `begin`; `marks` and `finish` are x of the trunk's centre where it drives ahead [m]. Backward all is mirrored."""
+    """Along the x axis from `begin`; `marks` and `finish` are x of the trunk's centre where it drives ahead [m].
+    Backward all is mirrored."""
     height, corner = z, (float(x[0, 0]), float(y[0, 0]))
     sign = -1.0 if way == "back" else 1.0
     if way == "back":
@@ -338,7 +342,8 @@ def _gap(values: Values, rng: np.random.Generator) -> Trial:
 
 
 def _turn(values: Values, rng: np.random.Generator, moving: bool) -> Trial:
-    """Turn on the spot or in a curve, astride a kerb or bar of `height` [m] or (`place` 0) with one just beside the wheels."""
+    """Turn on the spot or in a curve, astride a kerb or bar of `height` [m] or (`place` 0) with one just beside the
+    wheels."""
     height, slope, place = values
     d = _draw(rng)
     half = 1.6 if moving else 1.0

@@ -13,7 +13,8 @@ FACES = ("up", "down", "back_up", "back_down")
 
 
 def draw(envelope: Envelope, path: Path) -> None:
-    """Faces by height and angle on level ground: the fit's probability, the limit of its bound, trials with the share that failed."""
+    """Faces by height and angle on level ground: the fit's probability, the limit of its bound, trials with the share
+    that failed."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -173,7 +173,8 @@ _KINDS: dict[str, Callable[[Field, Field, float, int], tuple[Field, float]]] = {
 
 
 def course(name: str, variant: int = 0) -> Course:
-    """`KIND_VALUE`, e.g. `ramp_up_25` [deg], `step_up_10` [cm]. `variant` draws another random ground of the same kind."""
+    """`KIND_VALUE`, e.g. `ramp_up_25` [deg], `step_up_10` [cm]. `variant` draws another random ground of the same
+    kind."""
     kind, _, value = name.rpartition("_")
     if kind not in _KINDS:
         raise ValueError(f"no course {name!r}; kinds are {', '.join(_KINDS)}, e.g. step_up_10")

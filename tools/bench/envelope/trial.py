@@ -73,7 +73,8 @@ def noisy(state: LowState, rng: np.random.Generator) -> LowState:
 
 
 def steering(aside: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
-    """Yaw rate [rad/s] of robots `aside` of the line they drive along [m], with heading `yaw` to it [rad]; any shape."""
+    """Yaw rate [rad/s] of robots `aside` of the line they drive along [m], with heading `yaw` to it [rad]; any
+    shape."""
     off = np.arctan2(-np.asarray(aside, np.float64), AIM) - np.asarray(yaw, np.float64)
     return np.clip(2.0 * off, -0.8, 0.8)
 

@@ -1,4 +1,5 @@
-"""Faults of the way from hands to wheels: a robot that does not follow, another robot, hands that see too late, a LiDAR that is silent."""
+"""Faults of the way from hands to wheels: a robot that does not follow, another robot, hands that see too late, a LiDAR
+that is silent."""
 
 from __future__ import annotations
 

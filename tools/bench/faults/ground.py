@@ -1,4 +1,5 @@
-"""Ground and body that are not what they seem: holes a little wider than the robot crosses, parts nobody told of, goals that
+"""Ground and body that are not what they seem: holes a little wider than the robot crosses, parts nobody told of, goals
+that
 cannot be reached."""
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ ANGLES = (0.0, 25.0, 50.0, 70.0, 90.0)
 FREE = 0.9
 """[m] ahead of the start that no hole begins before."""
 LATE = 1.0
-"""[m] from base_link, the farthest ground that sends a ray back where holes are seen late: a third of a metre before the
+"""[m] from base_link, the farthest ground that sends a ray back where holes are seen late: a third of a metre before
+the
 nose and the width of a hole."""
 GIVEN_UP = 90.0
 """[s] for a goal 2.6 m away."""
@@ -66,7 +68,8 @@ def walled(length: float = 6.0, width: float = 3.0) -> tuple[np.ndarray, np.ndar
 
 
 def _to_hole(width: float, seed: int, *, hands: bool, late: bool = False) -> Outcome:
-    """Driven by hand towards a hole of `width` [m] from wall to wall, or sent to a goal beyond it. `fell`: the middle of a
+    """Driven by hand towards a hole of `width` [m] from wall to wall, or sent to a goal beyond it. `fell`: the middle
+    of a
     wheel came over it.
     """
     angle = math.radians(ANGLES[seed % len(ANGLES)])

@@ -1,4 +1,5 @@
-"""Streams that localisation lives on lie: they repeat, tell what cannot be, or the floor moves below a robot that stands."""
+"""Streams that localisation lives on lie: they repeat, tell what cannot be, or the floor moves below a robot that
+stands."""
 
 from __future__ import annotations
 

@@ -84,4 +84,5 @@ def _carry(sender: Bus, robot: Bus, stage: RobotStage, now: int, forward: float)
     raise RuntimeError("the bus carries nothing")
 
 
-FAULTS = (Fault("stranger's limits", (STRANGER,), (9.0, 0.3), _limits, rest=0.5, says=("/guard/limits also comes from stranger",)),)  # fmt: skip
+FAULTS = (Fault("stranger's limits", (STRANGER,), (9.0, 0.3), _limits, rest=0.5, says=("/guard/limits also "
+    "comes from stranger",)),)  # fmt: skip

@@ -44,7 +44,8 @@ def by_hand(stack: Lockstep, vx: float, wz: float, seconds: float) -> None:
 class Watch:
     """Listens to a stack from now on, the instant of the fault. `outcome` after some time tells what came of it.
 
-    The true error is how far the estimated pose came off the truth since then. As a context manager it closes the stack.
+    The true error is how far the estimated pose came off the truth since then. As a context manager it closes the
+    stack.
     """
 
     def __init__(self, stack: Lockstep) -> None:
@@ -63,7 +64,8 @@ class Watch:
         self._offset = self._apart(stack.newest[t.ODOM])
 
     def _apart(self, odom: Any) -> np.ndarray:
-        """(2,) estimated less true place [m]; both in axes of the world, for `odom` begins at the start with its heading."""
+        """(2,) estimated less true place [m]; both in axes of the world, for `odom` begins at the start with its
+        heading."""
         x, y, yaw = self._stack.config.start_pose()
         p = odom.pose.pose.position
         c, s = math.cos(yaw), math.sin(yaw)

@@ -1,6 +1,7 @@
 """Messages mutated from a real drive, on every topic that somebody subscribes to: nothing ends, nothing grows.
 
-Each target runs in a process of its own, so that an abort in native code is seen too. A message counts when it was handed over, whether it was
+Each target runs in a process of its own, so that an abort in native code is seen too. A message counts when it was
+handed over, whether it was
 refused or taken.
 """
 
@@ -170,7 +171,8 @@ def fuzz(
 
 @contextmanager
 def patience() -> Iterator[None]:
-    """Raises Hangs in the middle of what takes too long. Compiled code cannot be interrupted: it ends the process, with a trace."""
+    """Raises Hangs in the middle of what takes too long. Compiled code cannot be interrupted: it ends the process, with
+    a trace."""
 
     def tell(_number: int, _frame: Any) -> None:
         raise Hangs(f"longer than {PATIENCE} s")

@@ -1,6 +1,8 @@
-"""Rescue lanes from seeds, driven by the whole stack in lockstep: goals reached, falls, refusals, detours, touched walls.
+"""Rescue lanes from seeds, driven by the whole stack in lockstep: goals reached, falls, refusals, detours, touched
+walls.
 
-One line per trial goes to `--out` (JSON); trials that stand in it are not driven again. docs/measurements/lanes.json names the first unused seeds.
+One line per trial goes to `--out` (JSON); trials that stand in it are not driven again. docs/measurements/lanes.json
+names the first unused seeds.
 """
 
 from __future__ import annotations
@@ -91,7 +93,8 @@ def spreads(parser: argparse.ArgumentParser) -> None:
 def driven(
     trials: Sequence[Trial], out: Path | None, pictures: Path | None, workers: int, scheduler: str
 ) -> list[dict[str, Any]]:
-    """Records of `trials`, those that stand in the file `out` and those that are driven now; see `spread`. `pictures`: a folder."""
+    """Records of `trials`, those that stand in the file `out` and those that are driven now; see `spread`. `pictures`:
+    a folder."""
     records, wanted = Records(out), {trial.key for trial in trials}
     done = {key: record for key, record in records.done.items() if key in wanted}
     left = [trial for trial in trials if trial.key not in done]

@@ -25,7 +25,8 @@ DETOUR, SLOWER = 1.3, 1.6
 
 
 def table(records: Iterable[Record]) -> Report:
-    """Rows `lanes.CONTROLLER.MAP.LEVEL.*`: rates with their trials, ratios as medians over the trials that reached the goal."""
+    """Rows `lanes.CONTROLLER.MAP.LEVEL.*`: rates with their trials, ratios as medians over the trials that reached the
+    goal."""
     report = Report("lanes")
     records = sorted(records, key=lambda r: (r["controller"], r["map"], r["level"], r["seed"]))
     with_map = {

@@ -1,4 +1,5 @@
-"""One drive of the whole stack in lockstep, judged by the truth: through a lane, or to a named goal of another scene."""
+"""One drive of the whole stack in lockstep, judged by the truth: through a lane, or to a named goal of another
+scene."""
 
 from __future__ import annotations
 
@@ -87,7 +88,8 @@ class Trial:
 
 
 def drive(trial: Trial) -> dict[str, Any]:
-    """The record of a trial: what was driven, `outcome` and `reason`, times, lengths, contacts, states on the way, and the track."""
+    """The record of a trial: what was driven, `outcome` and `reason`, times, lengths, contacts, states on the way, and
+    the track."""
     lane = trial.lane()
     robot, _, controller = trial.controller.rpartition("/")
     facts = describe(robot or DEFAULT)

@@ -244,7 +244,8 @@ def _run_is_a_bag(folder: Path) -> bool:
 
 
 CASES: dict[str, Check] = {
-    **{f"pcd_{d}": lambda f, d=d: _is_ground(_pcd(f / f"{d}.pcd", points(), d)) for d in ("ascii", "binary", "binary_compressed")},  # type: ignore[misc]
+    **{f"pcd_{d}": lambda f, d=d: _is_ground(_pcd(f / f"{d}.pcd", points(), d))  # type: ignore[misc]
+    for d in ("ascii", "binary", "binary_compressed")},
     "pcd_millimetres": lambda f: _is_ground(_pcd(f / "mm.pcd", 1000.0 * points(), "binary")),
     "pcd_y_up": lambda f: _is_ground(_pcd(f / "y.pcd", points()[:, [0, 2, 1]] * (1, 1, -1), "binary")),
     "pcd_sparse": lambda f: _is_ground(_pcd(f / "sparse.pcd", points(4000), "binary")),

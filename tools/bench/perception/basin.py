@@ -1,4 +1,5 @@
-"""The wrong basin: the robot is moved while no scan comes, its gyro alone tells of it, and level ground fits nearly everywhere."""
+"""The wrong basin: the robot is moved while no scan comes, its gyro alone tells of it, and level ground fits nearly
+everywhere."""
 
 from __future__ import annotations
 
@@ -54,7 +55,8 @@ def trial(
     place: tuple[float, float, float],
     params: OdometryConfig,
 ) -> Moved:
-    """Drive `samples`, stand still and blind for `gap` [s], then see from x, y [m], yaw [rad] (`place`) beside there."""
+    """Drive `samples`, stand still and blind for `gap` [s], then see from x, y [m], yaw [rad] (`place`) beside
+    there."""
     odometry = LidarInertialOdometry(params, {"main": run.extrinsics})
     scans: list[ScanOdometry] = []
     for sample in samples:
@@ -122,7 +124,8 @@ def open_ground(scene: Scene, x: float, y: float) -> bool:
 
 
 def rows(report: Report, count: int) -> None:
-    """Rows `basin.*`: trials that end `good` in a wrong place, those that find the right one, scans mapped from a wrong place."""
+    """Rows `basin.*`: trials that end `good` in a wrong place, those that find the right one, scans mapped from a wrong
+    place."""
     out = list(trials(count))
     wrong = sum(m.health is Health.GOOD and m.off > WRONG for m in out)
     report.add("basin.good_while_wrong", wrong, "trials", 0.0)

@@ -1,12 +1,19 @@
-"""Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
+"""Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10
+deg.
 
-    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--offset 20] [--mounts 15] [--metres 1000]
-                                    [--only relocalise|offset|mounts|map_1km|map|soak|odometry|open|basin|lanes] [--no-joints]
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4]
+    [--basin 24] [--poses 20] [--offset 20] [--mounts 15] [--metres 1000]
+                                    [--only relocalise|offset|mounts|map_1km|map|soak|odometry|open|basin|lanes]
+                                    [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
-`--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
-scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU, `--mounts 15` with mounts that are off. `--metres 1000` maps a street of that length. `--only NAME` runs one part. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
-`--open 20` drives so often on open ground of each kind, and in a crowd; with `--out FILE` what stands in it is not driven again.
+`--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot
+at 100 places of
+scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU, `--mounts 15` with mounts that are
+off. `--metres 1000` maps a street of that length. `--only NAME` runs one part. `--basin 24` moves the robot 24 times
+while it sees nothing, `--basin 0` never.
+`--open 20` drives so often on open ground of each kind, and in a crowd; with `--out FILE` what stands in it is not
+driven again.
 `--no-joints` hides the joints from the odometry.
 """
 

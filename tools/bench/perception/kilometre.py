@@ -1,6 +1,7 @@
 """One kilometre through a street: does a scan cost the same at the end, does memory stay, can the map be saved?
 
-The clouds are made up: rays of a XT16 on level ground between two walls. Elevation map, planner's copy and graph run as the stack runs them.
+The clouds are made up: rays of a XT16 on level ground between two walls. Elevation map, planner's copy and graph run as
+the stack runs them.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ class Drive:
 
 
 def rows(report: Report, metres: float) -> None:
-    """Drive `metres`, half of them along x and half along y: cost per scan in the last tenth against the first, memory of each side, a save."""
+    """Drive `metres`, half of them along x and half along y: cost per scan in the last tenth against the first, memory
+    of each side, a save."""
     rng = np.random.default_rng(0)
     clouds = [street(rng) for _ in range(CLOUDS)]
     with tempfile.TemporaryDirectory() as folder:
@@ -129,7 +131,8 @@ def rows(report: Report, metres: float) -> None:
 
 
 def growth(times: list[float], base: int = 0) -> float:
-    """Mean of the last tenth against that of tenth number `base`: of the graph the second one, as the window that is planned on grows with
+    """Mean of the last tenth against that of tenth number `base`: of the graph the second one, as the window that is
+    planned on grows with
     the map for the first 60 to 100 m."""
     tenth = len(times) // 10
     return float(np.mean(times[-tenth:]) / np.mean(times[base * tenth : (base + 1) * tenth]))

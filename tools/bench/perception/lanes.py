@@ -1,4 +1,5 @@
-"""Generated rescue lanes seen on the way only, with the sensors a robot has by default: does it start, what does the map say of the
+"""Generated rescue lanes seen on the way only, with the sensors a robot has by default: does it start, what does the
+map say of the
 ground it is about to drive on, and does it call ground what is none?
 """
 
@@ -34,7 +35,8 @@ NEAR = 0.08
 MOVED = 0.5
 """A robot that came this far from its start has started [m]."""
 READY = 15
-"""Scans in the map when the goal is sent. `up` says ready after 15 to 20, because it asks every topic for its rate; the lockstep host after one."""
+"""Scans in the map when the goal is sent. `up` says ready after 15 to 20, because it asks every topic for its rate; the
+lockstep host after one."""
 EVERY = 100
 """Lockstep steps of 5 ms between two looks at the map."""
 TRUSTED_LIMIT, FALSE_LIMIT = 95.0, 0.0
@@ -70,7 +72,8 @@ def heights(scene: Scene, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDA
 def ahead(
     scene: Scene, patch: MapPatch, true: tuple[float, ...], held: tuple[float, ...], eyes: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Trusted shares [0..1] of the strip before the robot up to the first wall: of all of it, and of what is open to one of
+    """Trusted shares [0..1] of the strip before the robot up to the first wall: of all of it, and of what is open to
+    one of
     `eyes` (n, 3), the places of the LiDARs in the scene [m]. NaN where there is none.
 
     `true` and `held`: x, y [m], yaw [rad] of the robot in the scene and where the map has it.
@@ -116,7 +119,8 @@ def _share(hit: NDArray[np.bool_]) -> float:
 def false_ground(scene: Scene, patch: MapPatch, true: tuple[float, ...], held: tuple[float, ...]) -> int:
     """Trusted cells that hang above all true ground around them; the map is laid onto the scene at the robot.
 
-    Cells more than `WALL` above the robot's ground do not count: a wall that is not there stops the robot, ground that is not there
+    Cells more than `WALL` above the robot's ground do not count: a wall that is not there stops the robot, ground that
+    is not there
     lets it fall.
     """
     r, c = np.nonzero(patch.layers["trusted"] > 0)
@@ -165,7 +169,8 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
             for _ in range(EVERY):
                 stack.step()
                 truth.append(stack.newest[t.TRUTH])
-            # Once stamps of a LiDAR are shifted, the newest pose at a look is that of the sweep before: the truth of its own time counts.
+            # Once stamps of a LiDAR are shifted, the newest pose at a look is that of the sweep before: the truth of
+            # its own time counts.
             stamp = stamp_of(stack.newest[t.ODOM])
             place = min(truth, key=lambda at: abs(stamp_of(at) - stamp)).pose.pose
             true = (place.position.x, place.position.y, yaw_of(place.orientation))
@@ -188,7 +193,8 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
 
 
 def rows(report: Report, seeds: int, timeout: float) -> None:
-    """Rows `lanes.*`: robots that start, trusted share of the strip 0.4 to 3 m ahead, all of it and the part that no crest hides,
+    """Rows `lanes.*`: robots that start, trusted share of the strip 0.4 to 3 m ahead, all of it and the part that no
+    crest hides,
     cells called ground that are none, and in which lanes."""
     lanes = [drive(f"lanes:{seed}", timeout) for seed in range(seeds)]
     report.rate("lanes.started", sum(lane.moved >= MOVED for lane in lanes), len(lanes), 1.0)

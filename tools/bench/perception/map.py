@@ -186,7 +186,8 @@ def rows(report: Report, lidars: list[str], seconds: float, seed: int) -> None:
 
 
 def cost_ms(run: SyntheticRun, scans: int = 90, repeats: int = 5) -> tuple[float, float, float]:
-    """Thread time of fusion, clean-up and of working out the deltas [ms]: median over scans of the best of `repeats` (the machine is shared)."""
+    """Thread time of fusion, clean-up and of working out the deltas [ms]: median over scans of the best of `repeats`
+    (the machine is shared)."""
     taken = [scan for scan, _ in zip(registered(run), range(scans), strict=False)]
     fusion, cleanup, deltas = [], [], []
     for _ in range(repeats):

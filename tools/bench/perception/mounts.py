@@ -1,4 +1,5 @@
-"""LiDARs that are mounted otherwise than configured: what it costs, whether it is told, and what `calibrate lidar` makes of it."""
+"""LiDARs that are mounted otherwise than configured: what it costs, whether it is told, and what `calibrate lidar`
+makes of it."""
 
 from __future__ import annotations
 

@@ -56,7 +56,8 @@ class Track:
 class StockKissIcp:
     """KISS-ICP as it comes, constant-velocity deskew and adaptive threshold, no IMU, no joints, one thread.
 
-    Range 20 m and voxels of 0.25 m, which serve it best in small scenes: its defaults (100 m, 1 m) triple the error and cost a
+    Range 20 m and voxels of 0.25 m, which serve it best in small scenes: its defaults (100 m, 1 m) triple the error and
+    cost a
     tenth of the time.
     """
 

@@ -1,4 +1,5 @@
-"""LiDARs whose stamps are off the IMU: what is found, and what the motion over 1 s costs with and without the correction."""
+"""LiDARs whose stamps are off the IMU: what is found, and what the motion over 1 s costs with and without the
+correction."""
 
 from __future__ import annotations
 

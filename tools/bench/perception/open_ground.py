@@ -1,6 +1,7 @@
 """Where scans tell little or tell wrong: open ground with hardly anything in sight, and people who walk past the robot.
 
-Simulated physics and sensors, driven without a planner: the robot follows a list of velocities. Errors are those of the way since the start.
+Simulated physics and sensors, driven without a planner: the robot follows a list of velocities. Errors are those of the
+way since the start.
 """
 
 from __future__ import annotations

@@ -1,9 +1,12 @@
-"""A robot that stands anywhere in a scene mapped before looks for itself: right, wrong and sure of it, ambiguous, and how long it takes.
+"""A robot that stands anywhere in a scene mapped before looks for itself: right, wrong and sure of it, ambiguous, and
+how long it takes.
 
     python -m tools.bench perception --only relocalise --poses 100
 
-The map is made on a tour through all places that the robot can reach, the errors of its poses included. Then boxes are moved, and the robot stands at
-random places with random headings. Truth judges, and nothing else uses it. open3d's FPFH and RANSAC get the same two clouds.
+The map is made on a tour through all places that the robot can reach, the errors of its poses included. Then boxes are
+moved, and the robot stands at
+random places with random headings. Truth judges, and nothing else uses it. open3d's FPFH and RANSAC get the same two
+clouds.
 """
 
 from __future__ import annotations
@@ -189,7 +192,8 @@ def survey(world: World, eyes: Eyes, boxes: tuple[OrientedBox, ...]) -> Elevatio
 
 
 def look(world: World, eyes: Eyes, submap: Submap, pose: Array, boxes: tuple[OrientedBox, ...]) -> None:
-    """What the robot sees standing at `pose` (4, 4), in its `odom`: elsewhere and turned, its errors those of odometry over a few metres."""
+    """What the robot sees standing at `pose` (4, 4), in its `odom`: elsewhere and turned, its errors those of odometry
+    over a few metres."""
     odom = np.eye(4)
     odom[:3, :3] = rotation_rpy(0.0, 0.0, 0.3)
     odom[:3, 3] = 2.0, -1.0, 0.1
@@ -201,7 +205,8 @@ def look(world: World, eyes: Eyes, submap: Submap, pose: Array, boxes: tuple[Ori
 
 
 def fpfh(cloud: NDArray[np.float64], submap: NDArray[np.float64]) -> Array:
-    """(4, 4) `map` <- submap by open3d's FPFH and RANSAC, then ICP point to plane, with the settings of its tutorial for voxels of 0.25 m."""
+    """(4, 4) `map` <- submap by open3d's FPFH and RANSAC, then ICP point to plane, with the settings of its tutorial
+    for voxels of 0.25 m."""
     import open3d
 
     open3d.utility.random.seed(0)

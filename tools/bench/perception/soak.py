@@ -21,7 +21,8 @@ from tools.synthetic import soak_run
 def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int = 2) -> None:
     """Drive rounds through the arena for `minutes` of simulated time with odometry and map as the stack runs them.
 
-    The first third settles. Then: CPU per scan in the last third against the middle third, growth of the process [MB], and
+    The first third settles. Then: CPU per scan in the last third against the middle third, growth of the process [MB],
+    and
     cells that were trusted after the first third and are unknown at the end [%].
     """
     run = soak_run(lidar, minutes=minutes, azimuth_step=azimuth_step)

@@ -1,4 +1,5 @@
-"""Planning: graph builds and updates here, queries in `query`, the path's watch in `watch`, ways near the step limit in `crossings`.
+"""Planning: graph builds and updates here, queries in `query`, the path's watch in `watch`, ways near the step limit in
+`crossings`.
 
     python -m tools.bench planning [--only watch|crossings] [--json]
 
@@ -6,7 +7,8 @@ The large build is the graph and its risk table with every edge evaluated, which
 its two parts have rows of their own, and `large.query_cold_s` is a query that finds neither table nor evaluation.
 
 Values are the least of several repeats of this thread's CPU time, after the kernels were compiled. Baselines, from the
-same run: the native builds' is the same graph grown in plain numpy (`_planning_oracle`, whole problem); the update's is a full
+same run: the native builds' is the same graph grown in plain numpy (`_planning_oracle`, whole problem); the update's is
+a full
 rebuild of the same map; the large build's is that numpy build of 400 m^2, scaled by area to 10,000 m^2.
 """
 

@@ -1,7 +1,8 @@
 """Equations 1 to 5 of the paper in plain numpy, to be read beside it.
 
 Guo, Zhang, Schwertfeger, "Robot-Body-Aware Traversal Risk Graph Planning for Wheeled-Legged Robots in Complex Terrain"
-(2026). The kernels compute the same, faster, and are tested against this file. Nothing here calls them. Where the paper is
+(2026). The kernels compute the same, faster, and are tested against this file. Nothing here calls them. Where the paper
+is
 silent (corner bands, ties of half turns, ground beyond the map), the docstring names the choice.
 """
 

@@ -1,7 +1,9 @@
 """Rows of the path's watch: boxes dropped on random paths over rough ground, and the same ground measured again.
 
-`watch.missed` counts paths of 150 on which a box of 0.45 m, 0.2 to 0.5 m wide and up to 0.2 m off the path's line, is not
-seen. `watch.false_alarms` is the share of 750 maps of unchanged ground, each with its own noise of 5 mm, on which a path
+`watch.missed` counts paths of 150 on which a box of 0.45 m, 0.2 to 0.5 m wide and up to 0.2 m off the path's line, is
+not
+seen. `watch.false_alarms` is the share of 750 maps of unchanged ground, each with its own noise of 5 mm, on which a
+path
 is said to be blocked. `watch.passes_walls` is the share of the paths whose body's rim touches a face above the limit.
 """
 

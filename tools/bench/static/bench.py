@@ -1,13 +1,15 @@
 """The paper's static study: all variants on the same graphs of four rescue scenes (its Table 1).
 
 `python -m tools.bench static --out DIR [--seeds N] [--pairs N] [--json]` writes `static.json` (every instance),
-`static.md` and pictures to DIR. Scenes, surveys and start-goal pairs come from `hal.scenes`; graph settings are the dense
+`static.md` and pictures to DIR. Scenes, surveys and start-goal pairs come from `hal.scenes`; graph settings are the
+dense
 ones of the published scenes. Limits are the paper's reductions of full against native, in the same run, per graph.
 
 Per route: planar length; the largest d_fb, a_lr, p_int of any pose along its edges and in its turns, the first ten
 centimetres to the last; untrusted = mean unknown share of the edge poses, weighted by edge length. Every variant is
 measured with the same yardstick, the paper's body model. The table is about the paper's cost: what a turn over an edge
-costs beyond it (`planning.risk.turns`) is left out. Graphs of one query resemble each other: each query counts once, by its mean,
+costs beyond it (`planning.risk.turns`) is left out. Graphs of one query resemble each other: each query counts once, by
+its mean,
 and intervals come from resamples of whole queries within their scenes, as in the closed-loop study.
 """
 

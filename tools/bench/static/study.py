@@ -103,7 +103,8 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
 
 
 def values(instances: Sequence[Instance], graph: str, variant: str) -> dict[str, NDArray[np.float64]]:
-    """Per scene the metrics (queries, 5) of one variant, each the mean over the graphs on which the query has a route."""
+    """Per scene the metrics (queries, 5) of one variant, each the mean over the graphs on which the query has a
+    route."""
     return averaged(instances, graph, variant, lambda i: [getattr(i, m) for m in METRICS])
 
 

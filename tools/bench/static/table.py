@@ -96,7 +96,8 @@ def _room(instances: Sequence[Instance], graph: str) -> str:
             text += f"; the paper's {100 * want:.1f} % are more than there is)" if room < want else ")"
         words.append(text)
     return (
-        "The terrain sets a floor. Least maxima that any route on the same graph could have, each by a route of its own and "
+        "The terrain sets a floor. Least maxima that any route on the same graph could have, each by a route "
+        "of its own and "
         "turns left out: " + "; ".join(words) + "."
     )
 
@@ -109,7 +110,10 @@ def _through(instances: Sequence[Instance], graph: str) -> str:
     """How many native routes cross or graze something as high as a wall, and the change without those."""
     mine = [i for i in instances if (i.graph, i.variant) == (graph, "native")]
     walls = {(i.scene, i.seed, i.pair) for i in mine if i.p_int > THROUGH}
-    text = f"On {len(walls)} of {len(mine)} instances the native route has something over {THROUGH} m high under the body"
+    text = (
+        f"On {len(walls)} of {len(mine)} instances the native route has something over {THROUGH} m high "
+        "under the body"
+    )
     others = [i for i in instances if (i.scene, i.seed, i.pair) not in walls]
     if not walls or len(walls) == len(mine):
         return text + "."
@@ -120,7 +124,8 @@ def _through(instances: Sequence[Instance], graph: str) -> str:
     rest = ", ".join(f"{m} {100 * c:+.1f} %" for m, c in zip(METRICS, f / n - 1.0, strict=True))
     return (
         f"{text}: {why}. Such a route is shorter than any the robot can drive, and full adds the way around. "
-        f"On the other instances full against native: {rest} (they are chosen by native's result: where the change comes "
+        f"On the other instances full against native: {rest} (they are chosen by native's result: where the "
+        "change comes "
         f"from, not how large it is)."
     )
 

@@ -1,4 +1,5 @@
-"""The robot itself goes while the whole stack drives it, and comes back: what `status` says, and whether it drives again."""
+"""The robot itself goes while the whole stack drives it, and comes back: what `status` says, and whether it drives
+again."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""The real robot's side: cost of its messages against the DDS library's own coder, the time to rest after a death, and a
+"""The real robot's side: cost of its messages against the DDS library's own coder, the time to rest after a death, and
+a
 robot that goes and comes back.
 
-All but the messages is done to a running `up` that drives the peer (`tests/hal/unitree/peer.py`) on loopback at 0.5 m/s.
+All but the messages is done to a running `up` that drives the peer (`tests/hal/unitree/peer.py`) on loopback at 0.5
+m/s.
 """
 
 from __future__ import annotations

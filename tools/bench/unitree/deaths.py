@@ -22,7 +22,8 @@ from tools.bench.unitree.stack import Stack, running_stack
 PROCESSES = ("tracker", "navigator", "elevation", "odometry", "robot")
 """The last two leave a gap in the odometry."""
 STACKS = ("up", "host", "cable")
-"""Deaths of more than a process: the supervisor; every process at once; the same, seen from a robot whose cable is cut."""
+"""Deaths of more than a process: the supervisor; every process at once; the same, seen from a robot whose cable is
+cut."""
 DEATHS = (*PROCESSES, *STACKS)
 LIMIT = 0.5
 

@@ -1,4 +1,5 @@
-"""A running `up` on a peer (`tests/hal/unitree/peer.py`), for the benchmarks that make something fail while it drives."""
+"""A running `up` on a peer (`tests/hal/unitree/peer.py`), for the benchmarks that make something fail while it
+drives."""
 
 from __future__ import annotations
 

@@ -81,7 +81,8 @@ def stored(name: str) -> Path:
     folder = data_folder() / published(name).name
     if not folder.is_dir():
         raise PolicyError(
-            f"the policy {name} is not on this computer: fetch it with `rbtrg-robot policy get {name}`, or name a folder with --policy DIR"
+            f"the policy {name} is not on this computer: fetch it with `rbtrg-robot policy get {name}`, or "
+            "name a folder with --policy DIR"
         )
     return folder
 
@@ -107,7 +108,8 @@ def get(name: str, source: str = "") -> tuple[Path, bool]:
             found = hashlib.sha256(data).hexdigest()
             if found != wanted:
                 raise PolicyError(
-                    f"{url} is not the file that was published: SHA-256 {found[:12]}..., not {wanted[:12]}...; nothing was kept"
+                    f"{url} is not the file that was published: SHA-256 {found[:12]}..., not "
+                    f"{wanted[:12]}...; nothing was kept"
                 )
             (part / local).write_bytes(data)
         shutil.rmtree(folder, ignore_errors=True)

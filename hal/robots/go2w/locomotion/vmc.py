@@ -19,7 +19,8 @@ from hal.types import FELT_EDGE, PostureCommand, VelocityCommand
 
 
 class VmcController:
-    """Model-based locomotion (`hal.lowlevel.Locomotion`). Uses joint encoders, joint torques, attitude and gyro only."""
+    """Model-based locomotion (`hal.lowlevel.Locomotion`). Uses joint encoders, joint torques, attitude and gyro
+    only."""
 
     def __init__(self, params: VmcParams | None = None, period: float = 0.005) -> None:
         """`period`: control period [s], 1 to 10 ms."""

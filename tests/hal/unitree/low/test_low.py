@@ -135,7 +135,8 @@ def test_once_the_motion_service_is_back_nothing_is_sent_any_more() -> None:
     assert "has the motors again" in world.cause
 
 
-# --- what makes it soft, and what only stops it -------------------------------------------------------------------------
+# --- what makes it soft, and what only stops it
+# -------------------------------------------------------------------------
 
 
 def test_a_motor_that_is_not_well_makes_the_robot_soft_until_recover() -> None:
@@ -330,7 +331,8 @@ def test_the_hybrid_controller_climbs_a_step_of_15_cm() -> None:
     world.backend.close()
 
 
-# --- bytes and limits -----------------------------------------------------------------------------------------------------
+# --- bytes and limits
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_low_cmd_is_what_the_library_writes_and_its_checksum_that_of_the_c_struct() -> None:

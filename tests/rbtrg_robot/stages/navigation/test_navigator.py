@@ -149,7 +149,8 @@ class World:
         p_fail: float = math.nan,
         worst: str = "",
     ) -> None:
-        """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]; `unseen`: share of the second half of the way."""
+        """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]; `unseen`: share of the
+        second half of the way."""
         request = self.last(t.PLAN_REQUEST)
         line = np.linspace(0.0, 1.0, 11 if kerb > 1.0 else 51)
         self.send(

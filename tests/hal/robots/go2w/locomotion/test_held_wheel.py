@@ -1,4 +1,5 @@
-"""A wheel that an edge holds while the robot drives on: it stays under the trunk, is noticed, and is lifted or driven back from."""
+"""A wheel that an edge holds while the robot drives on: it stays under the trunk, is noticed, and is lifted or driven
+back from."""
 
 from __future__ import annotations
 

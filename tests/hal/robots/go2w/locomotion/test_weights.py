@@ -13,7 +13,8 @@ from hal.robots.go2w.locomotion.torchfile import Layer, PolicyError
 from hal.robots.go2w.locomotion.weights import load_weights, save_weights
 
 PARAMS = PolicyParams(
-    rl_kp=(20.0,) * 16, rl_kd=(0.5,) * 16, action_scale=(0.25,) * 12 + (5.0,) * 4, default_dof_pos=tuple(go2w.STAND.tolist()),
+    rl_kp=(20.0,) * 16, rl_kd=(0.5,) * 16, action_scale=(0.25,) * 12 + (5.0,) * 4,
+    default_dof_pos=tuple(go2w.STAND.tolist()),
     observations_history=(0, 3),
 )  # fmt: skip
 

@@ -44,6 +44,9 @@ TALL = 0.20
 """[m] The same of the body, whose belly is higher."""
 ROUGH = 3.0
 """On uneven ground legs are thrown about: so many times the force tells a touch of the body there."""
+AFTER_FACE = 1.0
+"""[s] after a face was under the body or ahead of it, legs are thrown about: the rear wheels come onto it when the map
+under the body is even again."""
 BODY_TIME, CLIMB_TIME, WHEEL_TIME = 0.05, 0.25, 0.09
 """[s] that it lasts: on even ground, on uneven ground, and of a wheel. While the hybrid controller climbs kerbs of 19
 cm that force lasts up to 0.16 s. What stands in the way pushes on. A wheel that jumps over a pebble is held for less.
@@ -79,6 +82,8 @@ class TouchWatch:
         self._sum, self._count = np.zeros(3), 0
         self._mass = sprung_mass
         self._stamp = 0
+        self._face = -math.inf
+        """Stamp at which the ground was uneven last [ns]."""
         self._body = 0.0
         """For how long the body was pushed back [s]; `_wheel`: one of the wheels."""
         self._wheel = np.zeros(4)
@@ -108,7 +113,9 @@ class TouchWatch:
         way = math.copysign(1.0, vx)
         back = -way * wheel_pushes(self._limbs, sample.position, sample.effort)
         held = -way * self._mass * self._accel[0] - back.sum()
-        rough = uneven > FACE
+        if uneven > FACE or sample.stamp < self._face:  # the clock was set back
+            self._face = sample.stamp
+        rough = sample.stamp - self._face <= AFTER_FACE * NS
         slow = speed is None or way * speed < SHORT * abs(vx)
         pushed = (
             slow

@@ -14,7 +14,7 @@ from hal.robots import describe
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.safety.monitors import taken_out
 from hal.safety.swept import LIDAR, TOUCHED, Surroundings
-from hal.safety.touch import CELLS, FACE, TALL, Touch, TouchWatch, uneven
+from hal.safety.touch import AFTER_FACE, BODY_TIME, CELLS, CLIMB_TIME, FACE, TALL, Touch, TouchWatch, uneven
 from hal.types import GRAVITY, NS, ImuSample, JointSample
 from tests.hal.safety.ground import BODY
 
@@ -70,6 +70,17 @@ class Run:
 
 
 PANE = (0.02, 3.0, 1.2)
+
+
+def test_just_after_a_face_it_takes_longer_until_a_push_is_a_touch() -> None:
+    # The rear wheels come onto a kerb when the map under the body is even again: drives ended on kerbs by that.
+    run = Run(ground(), ((1.0, 0.0, 0.6), PANE, 0.0))
+    run.drive(0.5, 0.0, 1.2, uneven=0.1)
+    assert run.met == np.inf
+    run.drive(0.5, 0.0, 3.0)
+    (now, touch), *_ = run.touches
+    assert touch == Touch(1.0, 0.0)
+    assert CLIMB_TIME <= now - run.met <= AFTER_FACE + BODY_TIME + 0.1
 
 
 @pytest.mark.parametrize(

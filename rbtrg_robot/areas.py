@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,11 +66,19 @@ def of_text(text: str) -> list[msg.GroundArea]:
     """What `to_text` wrote; none of an empty text. Raises GeofenceError for anything else."""
     try:
         rows = json.loads(text or "[]")
+    except (ValueError, RecursionError) as error:
+        raise GeofenceError("its areas cannot be read") from error
+    return of_rows(rows)
+
+
+def of_rows(rows: Any) -> list[msg.GroundArea]:
+    """What `plain` made, from whoever. Raises GeofenceError for anything else."""
+    try:
         found = [
             ground_area(str(row["name"])[:64], row["corners"], keep_out=row["keep_out"] is True)
             for row in rows
         ]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise GeofenceError("its areas cannot be read") from error
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise GeofenceError("an area has a name, keep_out, and corners x, y in metres") from error
     fence_of(found)
     return found

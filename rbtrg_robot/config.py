@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Iterable
+from copy import deepcopy
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
@@ -187,7 +188,9 @@ class StackConfig(BaseModel):
             robot = describe(values.get("robot_model", DEFAULT))
         except RobotError as error:
             raise ValueError(str(error)) from error
-        return _laid_under(_facts(robot), values)
+        facts = _facts(robot)
+        _merge(facts, values)
+        return facts
 
     @field_validator("unitree")
     @classmethod
@@ -474,27 +477,15 @@ def _facts(robot: Robot) -> dict[str, Any]:
         "odometry": {"inertial": {"imu_position": robot.imu.translation, "limbs": robot.limbs}},
         "elevation": {"body_size": (body.length, body.width)},
     }
-    _merge(values, robot.settings)
+    _merge(values, deepcopy(robot.settings))
     return values
 
 
-def _laid_under(facts: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """`values`, and of `facts` what they do not say."""
-    out = dict(values)
-    for key, fact in facts.items():
-        if key not in out:
-            out[key] = fact
-        elif isinstance(fact, dict):
-            given = out[key]
-            if isinstance(given, BaseModel):
-                given = {name: getattr(given, name) for name in given.model_fields_set}
-            if isinstance(given, dict):
-                out[key] = _laid_under(fact, given)
-    return out
-
-
 def _merge(values: dict[str, Any], over: dict[str, Any]) -> None:
+    """Lay `over` over `values`, key by key in groups; of a model what was set in it."""
     for key, value in over.items():
+        if isinstance(value, BaseModel) and isinstance(values.get(key), dict):
+            value = {name: getattr(value, name) for name in value.model_fields_set}
         if isinstance(value, dict) and isinstance(values.get(key), dict):
             _merge(values[key], value)
         else:

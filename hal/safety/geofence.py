@@ -234,12 +234,9 @@ class Fence:
 
         What lies up to `margin` [m] ahead of base_link must stay there for `horizon` [s]."""
         most, by = speed, None
+        known = all(map(math.isfinite, pose))
         for polygon in self.polygons:
-            free = (
-                polygon.free(pose, course, margin, speed * horizon, width) / horizon
-                if all(map(math.isfinite, pose))
-                else 0.0
-            )
+            free = polygon.free(pose, course, margin, speed * horizon, width) / horizon if known else 0.0
             if free < most:
                 most, by = free if free > LEAST else 0.0, polygon
         return most, by
@@ -248,12 +245,9 @@ class Fence:
         """The most of the yaw rate `rate` [rad/s] that keeps the body on the right side for `horizon` [s], and what
         sets it."""
         most, by = rate, None
+        known = all(map(math.isfinite, pose))
         for polygon in self.polygons:
-            free = (
-                polygon.free_turn(pose, rate * horizon, size) / horizon
-                if all(map(math.isfinite, pose))
-                else 0.0
-            )
+            free = polygon.free_turn(pose, rate * horizon, size) / horizon if known else 0.0
             if abs(free) < abs(most):
                 most, by = free, polygon
         return most, by

@@ -17,7 +17,7 @@ from hal.errors import OperatorError
 from hal.regular import is_own
 from hal.safety.geofence import Geofence
 from rbtrg_robot import yaml_file
-from rbtrg_robot.areas import fence_of, ground_area
+from rbtrg_robot.areas import of_rows
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.archive import NAME, body_of, operator
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
@@ -41,15 +41,7 @@ class Areas:
         return [Route("/areas", self._list), Route("/areas/{name}", self._save, methods=["POST"])]
 
     async def _draw(self, _page: Page, wish: dict[str, Any]) -> Answer:
-        try:
-            areas = [
-                ground_area(str(row["name"])[:64], row["corners"], keep_out=row["keep_out"] is True)
-                for row in wish["areas"]
-            ]
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise Refused("an area has a name, keep_out, and corners x, y in metres") from error
-        fence_of(areas)
-        return answer(await self._desk.carry_out(SetAreas(areas)))
+        return answer(await self._desk.carry_out(SetAreas(of_rows(wish.get("areas")))))
 
     def _read(self) -> list[dict[str, Any]]:
         """Name and corners x, y [m] in `map` of every file that holds an area."""

@@ -20,7 +20,8 @@ def wall_up(grid: ElevationGrid, fence: Fence) -> None:
     """Change the grid in place: its cells within `ROOM` of a side, and all of what the robot keeps out of, become walls
     that are known."""
     for polygon in fence.polygons:
-        (r0, r1), (c0, c1) = _box(grid, polygon)
+        r0, c0, r1, c1 = _box(polygon, grid.resolution, grid.origin)
+        r0, c0, r1, c1 = max(r0, 0), max(c0, 0), min(r1, grid.shape[0]), min(c1, grid.shape[1])
         if r0 >= r1 or c0 >= c1:
             continue
         part = np.s_[r0:r1, c0:c1]
@@ -37,22 +38,17 @@ def wall_up(grid: ElevationGrid, fence: Fence) -> None:
 
 def windows(fence: Fence, resolution: float) -> list[tuple[int, int, int, int]]:
     """Lattice cells (first row, first column, row and column after the last) that `wall_up` may change."""
-    out = []
-    for polygon in fence.polygons:
-        xy = np.array(polygon.corners)
-        c0, r0 = np.floor((xy.min(axis=0) - ROOM) / resolution).astype(int) - 1
-        c1, r1 = np.ceil((xy.max(axis=0) + ROOM) / resolution).astype(int) + 2
-        out.append((int(r0), int(c0), int(r1), int(c1)))
-    return out
+    return [_box(polygon, resolution) for polygon in fence.polygons]
 
 
-def _box(grid: ElevationGrid, polygon: Geofence) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Rows and columns of the grid that the polygon's walls may lie in."""
-    xy = (np.array(polygon.corners) - grid.origin) / grid.resolution
-    room = ROOM / grid.resolution + 1.0
-    low = np.maximum(np.floor(xy.min(axis=0) - room), 0).astype(int)
-    high = np.minimum(np.ceil(xy.max(axis=0) + room) + 1, grid.shape[::-1]).astype(int)
-    return (int(low[1]), int(high[1])), (int(low[0]), int(high[0]))
+def _box(
+    polygon: Geofence, resolution: float, origin: tuple[float, float] = (0.0, 0.0)
+) -> tuple[int, int, int, int]:
+    """First row, first column, row and column after the last that its walls may lie in; cell [0, 0] is at `origin` [m]."""
+    xy = np.array(polygon.corners) - origin
+    c0, r0 = np.floor((xy.min(axis=0) - ROOM) / resolution).astype(int) - 1
+    c1, r1 = np.ceil((xy.max(axis=0) + ROOM) / resolution).astype(int) + 2
+    return int(r0), int(c0), int(r1), int(c1)
 
 
 def _wall(grid: ElevationGrid, polygon: Geofence, r0: int, c0: int, shape: tuple[int, int]) -> Cells:

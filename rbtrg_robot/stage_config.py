@@ -25,7 +25,9 @@ class NavigatorConfig(BaseModel):
         0.25, gt=0, description="a path that ends further from the goal does not reach it [m]"
     )
     short_retries: int = Field(3, ge=0, description="replans from a path's end that fell short of the goal")
-    no_route_retries: int = Field(3, ge=0, description="replans before `no route` is final")
+    no_route_retries: int = Field(
+        2, ge=0, description="replans at a place, after the first, before other ways out of it are tried"
+    )
     max_recoveries: int = Field(
         3, ge=0, description="recoveries at one place before the goal is given up as stuck"
     )

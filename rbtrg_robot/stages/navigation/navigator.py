@@ -12,10 +12,9 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.areas import fence_of
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
+from rbtrg_robot.stages.navigation.behaviours import Action, Behaviours, Trigger
 from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, over_unseen, status_of
-from rbtrg_robot.stages.navigation.held import HeldTurns
 from rbtrg_robot.stages.navigation.inputs import Inputs
-from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import (
@@ -29,7 +28,6 @@ from rbtrg_robot.stages.navigation.progress import (
     Trail,
 )
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance, unlocated
-from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
@@ -49,6 +47,8 @@ HELD = 2.5
 s."""
 NEARER = 0.05
 """[m] by which a plan must end nearer to the goal than a robot that is there, or it is there for good."""
+LOOK_PITCH = math.radians(15.0)
+"""Nose-down an XT16 sees level ground from 0.9 m on instead of 1.9 m, and over crests [rad]."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -101,9 +101,7 @@ class NavigatorStage:
         self._plan: msg.Plan | None = None
         self._route = RouteWatch()
         self._short = 0
-        self._recovery = Recovery(params)
-        self._looks = Looks(max_trunk_tilt)
-        self._turns = HeldTurns()
+        self._behaviours = self._afresh()
         self._order = PathOrder(step_vx)
         self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
         self._trail = Trail(length, width)
@@ -172,11 +170,9 @@ class NavigatorStage:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED, self._goal.foreign(goal.owner))
         self._goal = goal
         self._short = 0
-        if self._recovery.at_edge:
+        if self._behaviours.at_edge:
             self._trail.forget()
-        self._recovery = Recovery(self._params, feels_edges=self._creep > 0.0)
-        self._looks = Looks(self._tilt)
-        self._turns = HeldTurns()
+        self._behaviours = self._afresh()
         self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
         self._plan = None
         self._query.drop()
@@ -189,6 +185,9 @@ class NavigatorStage:
             self._status()
             self._ask()
             self._status()
+
+    def _afresh(self) -> Behaviours:
+        return Behaviours(self._params, feels_edges=self._creep > 0.0, tilts=self._tilt > 0.0)
 
     def _restore(self, message: msg.GoalStatus) -> None:
         # After a crash nobody knows how far the goal had come: say so instead of driving on.
@@ -210,7 +209,7 @@ class NavigatorStage:
         if math.isnan(goal.first[0]):
             goal.first = message.p_fail, message.worst
         if message.ok:
-            self._recovery.found()
+            self._behaviours.found()
             self._budget.plan(message.length)
             self._plan = message
             goal.begun = True
@@ -222,16 +221,16 @@ class NavigatorStage:
             return self._status()
         reason = Reason.of(message.reason) or Reason.NO_ROUTE
         hopeless = reason is Reason.INVALID or (reason is Reason.TOO_RISKY and not goal.begun)
-        measure = Measure.GIVE_UP if hopeless else self._recovery.no_route(self._pose)
-        if measure is Measure.LOOK_DOWN and self._looks.wanted(self._pose):
+        action = Action.GIVE_UP if hopeless else self._behaviours.next(Trigger.NO_ROUTE, self._pose)
+        if action is Action.LOOK_DOWN:
             self._look(goal)
-        elif measure is Measure.CREEP:
-            self._stand(goal, message.detail)
-            self._replan(goal)
-        elif measure in (Measure.LOOK, Measure.LOOK_DOWN):  # noise can close a passage for a moment
+        elif action is Action.LOOK:
             self._stand(goal, message.detail)
             goal.state = GoalState.PLANNING
-        elif measure is Measure.GIVE_UP or reason is Reason.IN_OBSTACLE or not self._move_out(goal):
+        elif action in (Action.CREEP, Action.ALLOW):
+            self._stand(goal, message.detail)
+            self._replan(goal)
+        elif action is Action.GIVE_UP or reason is Reason.IN_OBSTACLE or not self._move_out(goal):
             refused = reason in REJECTING and not goal.begun
             state = GoalState.REJECTED if refused else GoalState.ABORTED
             self._end(state, reason, message.detail + goal.place(self._pose))
@@ -280,8 +279,8 @@ class NavigatorStage:
             if spent := self._budget.spent(now, self._pose):
                 last = f", last: {self._trouble}" if self._trouble else ""
                 return self._end(GoalState.ABORTED, Reason.STUCK, spent + last + goal.place(self._pose))
-        if self._recovery.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
-            return self._keep_off(goal, self._recovery.edge(self._pose), 1.0)
+        if self._behaviours.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
+            return self._keep_off(goal, self._behaviours.edge(self._pose), 1.0)
         if self._query.open:
             if self._query.waited(now) > p.patience:
                 return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
@@ -322,7 +321,7 @@ class NavigatorStage:
         if goal.state is GoalState.MOVING and (turn or self._inputs.way_held):
             if self._query.age(now) > HELD:
                 if turn and self._pose is not None:
-                    self._turns.add(self._pose, left=turn > 0.0)
+                    self._behaviours.hold_turn(self._pose, left=turn > 0.0)
                 self._replan(goal)
         elif goal.state is GoalState.MOVING and goal.frontier:
             on_edge = self._route.over_edge(self._plan, self._pose)
@@ -378,13 +377,13 @@ class NavigatorStage:
             return self._reach()
         self._progress.reset()
         assert self._pose is not None
-        way = self._inputs.way
-        room_ahead = self._inputs.room_ahead and not self._recovery.at_edge
-        measure = self._recovery.stuck(self._pose, way, room_ahead=room_ahead)
-        if measure is Measure.GIVE_UP:
+        way, room = self._inputs.way, self._inputs.room_ahead
+        trigger = Trigger.STUCK if way else Trigger.TURN_STUCK
+        action = self._behaviours.next(trigger, self._pose, way=way, room_ahead=room)
+        if action is Action.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
             self._end(GoalState.ABORTED, Reason.STUCK, tried)
-        elif measure is Measure.MOVE_ON:
+        elif action is Action.MOVE_ON:
             self._straight(goal, MOVE_ON, "moving on")
         elif not self._move_out(goal, barred=way):
             goal.recoveries += 1
@@ -395,23 +394,23 @@ class NavigatorStage:
         goal, place = self._goal, message.pose.position
         if goal and goal.state.active and self._pose is not None and not self._missing_since:
             way = math.copysign(1.0, math.cos(yaw_of(message.pose.orientation) - self._pose[2]))
-            self._keep_off(goal, self._recovery.touched(place.x, place.y), way)
+            self._keep_off(goal, self._behaviours.touched(self._pose, place.x, place.y), way)
 
-    def _keep_off(self, goal: Goal, measure: Measure, way: float) -> None:
+    def _keep_off(self, goal: Goal, action: Action, way: float) -> None:
         """The robot felt what the map did not tell, ahead, `way` 1.0, or behind, -1.0: get away from it, then replan
         around it; or give up."""
         self._query.drop()
-        if measure is Measure.GIVE_UP:
+        if action is Action.GIVE_UP:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, "choose another goal")
         elif not self._move_out(goal, barred=way):
-            self._stand(goal, self._recovery.felt)
+            self._stand(goal, self._behaviours.felt)
             self._replan(goal)
 
     def _move_out(self, goal: Goal, barred: float = 0.0) -> bool:
         """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where
         the guard holds it; False when there is none."""
         ways = self._inputs.held | {barred}
-        if self._recovery.at_edge:
+        if self._behaviours.at_edge:
             ways |= {1.0}  # the body covered what lies below the edge, too
         reach = self._trail.reach(self._pose, self._params.back_out, ways) if self._pose else 0.0
         if reach != 0.0:
@@ -437,7 +436,7 @@ class NavigatorStage:
             return
         if self._plan is None:
             goal.state = GoalState.PLANNING
-        held, tried = self._turns.at(self._pose), self._recovery
+        held, tried = self._behaviours.held_turns(self._pose), self._behaviours
         request = self._query.ask(
             self._now, goal, self._pose, tried.avoid, held, creep=tried.creep, again=again
         )
@@ -452,7 +451,7 @@ class NavigatorStage:
         """Tilt the trunk and look at the ground ahead before the next plan."""
         self._stand(goal, LOOKING)
         goal.state = GoalState.PLANNING
-        self._out[-1] = (t.PATH_COMMAND, self._order.look(self._now, goal.id, self._looks.pitch))
+        self._out[-1] = (t.PATH_COMMAND, self._order.look(self._now, goal.id, min(LOOK_PITCH, self._tilt)))
         self._status()
 
     def _stand(self, goal: Goal, why: str) -> None:
@@ -462,7 +461,7 @@ class NavigatorStage:
 
     def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         assert self._goal is not None
-        felt = self._recovery.felt if state is GoalState.ABORTED else ""
+        felt = self._behaviours.felt if state is GoalState.ABORTED else ""
         self._goal.end(state, reason, "; ".join(part for part in (felt, detail) if part))
         self._query.drop()
         self._halt()

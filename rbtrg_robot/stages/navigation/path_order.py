@@ -10,12 +10,13 @@ import numpy as np
 from hal.rotation import wrap
 from hal.types import NS
 from rbtrg_robot import msg
-from rbtrg_robot.stages.navigation.look import LONGEST
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.wire.messages import header
 
 REPEAT = NS // 2
 """Who works on something else than it was told, a tracker or a navigator, is told again after this long [ns]."""
+LONGEST_LOOK = 2.5 * NS
+"""[ns] after which the robot plans without the look: the trunk did not come level, or the tracker is silent."""
 OUT_SPEED = 0.3
 """[m/s], or what the robot needs to come over faces: it may have been one that held it."""
 HEADING = math.radians(10.0)
@@ -73,7 +74,7 @@ class PathOrder:
 
     def looking(self, now: int, tracker: msg.TrackerState | None) -> bool:
         """Whether the newest order is a look that is not over."""
-        if self._path is None or self._path.look == 0.0 or now - self._begun > LONGEST:
+        if self._path is None or self._path.look == 0.0 or now - self._begun > LONGEST_LOOK:
             return False
         return not (tracker is not None and self.obeyed(tracker) and tracker.phase == "done")
 

@@ -510,6 +510,7 @@ def test_where_no_route_begins_it_backs_out_once_and_looks_again(world: World) -
             assert back.x[0] > back.x[-1] > 0.2
             assert back.yaw[0] == pytest.approx(0.0), "the body keeps its heading: it drives backward"
             requests = world.count(t.PLAN_REQUEST)
+            world.pose = (0.3, 0.0, 0.0)
             world.tracker_phase = "done"
             world.run(0.6)
             assert world.count(t.PLAN_REQUEST) == requests + 1
@@ -1017,9 +1018,9 @@ def test_the_planner_is_told_of_a_turn_that_the_guard_held_there(world: World, e
     world.answer(reaches=False)
     world.tracker_phase, world.left = "following", 0.3
     for pose, told in (
-        ((place[0] + 0.1, *place[1:]), True),
-        ((place[0] + 0.2, *place[1:]), False),
-        ((*place[:2], place[2] + 0.5), False),
+        ((place[0] + 0.3, *place[1:]), True),
+        ((place[0] + 0.6, *place[1:]), False),
+        ((*place[:2], place[2] + 1.0), False),
         (place, True),
     ):
         world.pose = pose
@@ -1274,7 +1275,7 @@ def creeper() -> World:
 
 def refuse(world: World) -> None:
     """No route, until it has tried what it tries first."""
-    for _ in range(3):
+    for _ in range(4):
         assert not world.last(t.PLAN_REQUEST).creep
         world.answer(ok=False, reason="no_route")
         world.tracker_phase = "done"

@@ -10,7 +10,7 @@ from numba import njit
 from hal.raster import cell_of
 from planning.graph.edge_price import edge_price, room_for, wheel_track
 from planning.graph.edge_risk import F32, edge_risk
-from planning.graph.flags import ASSUMED, FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
+from planning.graph.flags import FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 
 MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks
@@ -23,15 +23,12 @@ SLOPE_BASE = 0.42
 """Slope is taken over this length, the wheelbase [m]."""
 SLOPE_TOLERANCE = 1.05
 """Factor on the tangent of the slope limit, for map noise."""
-COLUMNS = 10
+COLUMNS = 9
 """Sums over the cells of a section: how many there are, unseen, known; their height; height and count of those under
-the left and the right wheels; virtual ones; the risers there."""
-VIRTUAL_RISK = 4.0 / 3.0
-"""Added to the native risk of an edge whose whole corridor is virtual: with sigma = 3 a metre of it costs as much as
-five metres of seen ground."""
+the left and the right wheels; the risers there."""
 PLANTS_RISK = 0.5
-"""The same of an edge whose whole corridor is grass: a metre counts as 2.5, as it is driven at 0.2 instead of 0.5 m/s.
-"""
+"""Added to the native risk of an edge whose whole corridor is grass: with sigma = 3 a metre counts as 2.5, as it is
+driven at 0.2 instead of 0.5 m/s."""
 
 
 @njit(cache=True)
@@ -95,9 +92,8 @@ def corridor(
     stood,
     prices,
 ):
-    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk:
-    for the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`),
-    and for the share of its area that is grass.
+    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk
+    for the share of its area that is grass.
 
     Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a
     hole for more than `max_gap` (a crack is driven across, not along), every cross-section seen to at least
@@ -146,8 +142,6 @@ def corridor(
             k = int((ex * ux + ey * uy + front) / SECTION)
             i = np.uint64(min(max(k, 0), n - 1))
             sums[i, 0] += 1.0
-            if flag & (VIRTUAL | ASSUMED) == VIRTUAL:
-                sums[i, 8] += 1.0
             if flag & UNSEEN:
                 sums[i, 1] += 1.0
                 continue
@@ -165,13 +159,11 @@ def corridor(
             elif across < -strip:
                 sums[i, 6] += z
                 sums[i, 7] += 1.0
-    virtual = 0
     area = 0.0
     for k in range(n):
         area += sums[k, 0]
         if sums[k, 1] > (1.0 - min_coverage) * sums[k, 0]:
             return -1.0
-        virtual += sums[k, 8] > (1.0 - min_coverage) * sums[k, 0]
     if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
         return -1.0
     under = int(2.0 * front / SECTION) if stood else 0
@@ -183,7 +175,7 @@ def corridor(
             return -1.0
         if not _not_steep(sums, n, limit, 4.0 * strip, under):
             return -1.0
-    return VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
+    return PLANTS_RISK * plants / area
 
 
 @njit(cache=True)
@@ -221,7 +213,7 @@ def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, trea
         found = wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, span, crossed, gaps)[0]
         for k in range(found):
             if crossed[k, 3] > 0.0:
-                sums[int(crossed[k, 0] / SECTION), 9] += 0.5 * crossed[k, 1]
+                sums[int(crossed[k, 0] / SECTION), 8] += 0.5 * crossed[k, 1]
                 some = True
     return some
 
@@ -253,7 +245,7 @@ def _not_steep(sums, n, limit, track, under):
             centre_f = 0.5 * (max(0, j - reach) + min(n - 1, j + reach))
             rise, stairs = fore / fore_n - back / back_n, 0.0
             for k in range(max(0, i - reach), min(n, j + reach + 1)):
-                stairs += sums[k, 9]
+                stairs += sums[k, 8]
             if stairs * rise > 0.0:
                 rise = max(abs(rise) - abs(stairs), 0.0)
             pitch = rise / ((centre_f - centre_b) * SECTION)

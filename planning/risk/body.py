@@ -57,6 +57,12 @@ class BodyModel(BaseModel):
         return np.array([self.scale_fb, self.scale_lr, self.scale_int, 1.0])
 
 
+def unseen_price(body: BodyModel) -> float:
+    """Cost of a metre [m] of which nothing was seen, on an edge of the graph and beyond a frontier alike (paper eq. 5
+    with U = 1)."""
+    return 1.0 + body.weight_unknown
+
+
 def weights_of(body: BodyModel) -> Weights:
     """`body` as plain numbers for the kernels."""
     return Weights(

@@ -1,126 +1,145 @@
-"""Which frontier to drive to when the goal lies beyond known ground.
+"""Where to look from when the way to the goal leads over ground that nobody saw.
 
-A frontier's worth is the cost to get there plus the shortest way from there to the goal that known obstacles leave
-open, unknown ground counting as free: what is left can hardly be cheaper. (The straight line instead of that way sends
-the robot into every dead end that points at the goal.) A frontier once chosen is kept until another is better by a clear
-margin, so that a robot between two equal frontiers makes up its mind.
+A frontier is a node beside such ground. A plan may end at one; its value is the cost to come there plus what is still
+to go from there (`planning.search.to_go`), where a metre of unseen ground costs what it costs on the graph. So a way to
+the goal over unseen ground and a way to a frontier are compared by the same price.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.grid import ElevationGrid
 from planning.graph.describe import RAYS
-from planning.graph.fields import ENTERED
-from planning.graph.flags import FACE, FIELD, VIRTUAL
+from planning.graph.flags import FACE, VIRTUAL
 from planning.graph.graph import TraversalGraph
-from planning.search.request import Plan, PlanRequest
-from planning.search.to_go import in_field
+from planning.search.request import PlanRequest
 
-SAME_FRONTIER = 1.0
-"""Frontier nodes within this distance [m] of the one chosen before count as the same frontier."""
-BACK = 0.3
-"""A frontier moves on as ground is seen: one that lies this much farther from the goal [m of the way to go] than the one chosen before is another."""
-SWITCH_SHARE = 0.10
-SWITCH_LEAST = 0.5
-"""Another frontier must be better by this share of the kept one's worth and by at least this much [m]."""
-LOOKED = 0.35
-"""Frontier nodes within this distance [m] of the robot or of a place looked from already show nothing new. On a ramp it is the last 0.4 m to the crest that
+LOOKED_FROM = 0.30
+"""[m] Around a place where the robot was, or that it gave up, no frontier is left. On a ramp the last 0.4 m to the crest
 show what lies behind it."""
-ARRIVED = 0.3
-"""This close to a frontier [m] the robot has seen what there is to see from it."""
-BESIDE, PATIENCE = 1.5, 6.0
-"""A node beside virtual ground may never be reached, as the way there may be virtual too. So long [s] within this distance of it [m], or
-standing, the robot tries to see more."""
-STANDS = 0.1
-"""A robot that moved less [m] from one plan to the next stands."""
-LONGEST = 2.0
-"""Longest time [s] between two plans that counts: the goal may have been paused."""
-BEGINS = 0.4
-"""Virtual ground that begins farther than this [m] ahead of a body at a node is not looked at from there."""
-FIELD_STEP = 0.1
-"""A route is sampled so densely [m] for stepfields."""
+SHOWED_NOTHING = 1.0
+"""[m] The same around a frontier that showed nothing when the robot came to it: the rim of a pit is as dark from the
+next place on it."""
+SHOWN_SHARE = 0.2
+"""Of the ground around a frontier that nobody had seen when it was chosen: less is nothing."""
+SAME_FRONTIER = 1.0
+"""[m] Frontiers this near to the one driven to are the same one: it moves on as ground is seen."""
+SWITCH_SHARE, SWITCH_LEAST = 0.10, 0.5
+"""Another end must be better than the one driven to by this share and by at least so much [m]: a robot between two
+equal ones makes up its mind."""
+GIVE_UP_AFTER = 6.0
+"""[s] on the way to a frontier without coming nearer to it: the ground before it cannot be seen, or not be driven."""
+NEARER = 0.1
+"""[m] of the way to it."""
+LONGEST_PAUSE = 2.0
+"""[s] between two plans, at most, that count: the goal may have been paused."""
+BEGINS_WITHIN = 0.4
+"""[m] ahead of a body at a node virtual ground begins, or it is not looked at from there."""
 
-UNSEEN = 0.5
-"""A way to the goal of which more leads over ground that nobody saw [m] is not known to be one: frontiers are asked as well."""
+
+@dataclass(slots=True)
+class _Attempt:
+    """To come to a frontier."""
+
+    place: tuple[float, float]
+    dark: float
+    """Share of the ground around it that nobody had seen."""
+    least: float
+    """[m] of the way to it so far."""
+    seconds: float = 0.0
+    """Since it was less."""
 
 
-class FrontierMemory:
-    """What a robot on its way to one goal remembers of frontiers; goes into `PlanRequest` and is fed by its plans."""
+@dataclass(slots=True)
+class Tried:
+    """Where a robot on its way to one goal has looked from, and what it gave up."""
 
-    def __init__(self) -> None:
-        self.chosen: tuple[float, float] | None = None
-        """x, y [m] of the frontier on the way to."""
-        self.seen: list[tuple[float, float]] = []
-        """Places looked from already, and frontiers given up."""
-        self.been: list[tuple[float, float]] = []
-        """Places the robot planned from."""
-        self.exhausted = False
-        """No node was left, also none beside virtual ground: until a frontier is found again, which shows other ground, frontiers alone count."""
-        self._tried: list[tuple[tuple[float, float], float]] = []
-        """Nodes beside virtual ground, and how long [s] the robot tried to see more there."""
-        self._last: tuple[tuple[float, float], float] | None = None
+    places: list[tuple[float, float, float]] = field(default_factory=list)
+    """x, y, radius [m]; goes into `PlanRequest.tried`."""
+    chosen: tuple[float, float] | None = None
+    """x, y [m] of the frontier on the way to."""
+    _attempts: list[_Attempt] = field(default_factory=list)
+    _last: float | None = None
 
-    def at(self, xy: tuple[float, float], now: float, *, virtual: bool = False) -> None:
-        """The robot plans from x, y [m] at `now` [s]: what it has come to it has seen. `virtual`: `chosen` lies beside virtual ground."""
-        last, self._last = self._last, (xy, now)
-        if not self.been or math.dist(self.been[-1], xy) > ARRIVED:
-            self.been.append(xy)
-        if self.chosen is None:
+    def at(self, xy: tuple[float, float], grid: ElevationGrid | None) -> None:
+        """The robot plans from x, y [m]: what can be seen from there is in the `grid`."""
+        if all(math.dist(place[:2], xy) > 0.5 * LOOKED_FROM for place in self.places):
+            self.places.append((*xy, LOOKED_FROM))
+        if self.chosen is None or math.dist(self.chosen, xy) > LOOKED_FROM or grid is None:
             return
-        far = math.dist(self.chosen, xy)
-        if far < ARRIVED:
-            self.seen.append(xy)
-        elif virtual and last is not None and (far < BESIDE or math.dist(xy, last[0]) < STANDS):
-            self._try(self.chosen, min(max(now - last[1], 0.0), LONGEST))
+        here = self._attempt(self.chosen)
+        if here is not None and _dark(grid, here.place) > (1.0 - SHOWN_SHARE) * here.dark:
+            self.places.append((*self.chosen, SHOWED_NOTHING))
+            self._attempts.remove(here)
 
-    def found(self, frontier: tuple[float, float] | None) -> None:
-        """The newest plan leads to `frontier`, x, y [m]; None: to the goal."""
-        self.chosen = frontier
-        if frontier is not None:
-            self.exhausted = False
+    def found(
+        self, frontier: tuple[float, float] | None, way: float, now: float, grid: ElevationGrid | None
+    ) -> None:
+        """The plan of `now` [s] leads to `frontier`, x, y [m], on a way of `way` [m]; None: to the goal."""
+        passed = 0.0 if self._last is None else min(max(now - self._last, 0.0), LONGEST_PAUSE)
+        self._last, self.chosen = now, frontier
+        if frontier is None or grid is None:
+            return
+        here = self._attempt(frontier)
+        if here is None:
+            self._attempts.append(_Attempt(frontier, _dark(grid, frontier), way))
+        elif way < here.least - NEARER:
+            here.least, here.seconds = way, 0.0
+        else:
+            here.seconds += passed
+            if here.seconds >= GIVE_UP_AFTER:
+                self.places.append((*frontier, LOOKED_FROM))
+                self._attempts.remove(here)
 
-    def _try(self, place: tuple[float, float], seconds: float) -> None:
-        """Nodes of other samples stand beside the same ground: what is near counts as one."""
-        same = [entry for entry in self._tried if math.dist(entry[0], place) <= LOOKED]
-        spent = seconds + max((entry[1] for entry in same), default=0.0)
-        self._tried = [entry for entry in self._tried if entry not in same] + [(place, spent)]
-        if spent >= PATIENCE:
-            self.seen.append(place)
+    def _attempt(self, frontier: tuple[float, float]) -> _Attempt | None:
+        """The one to come to this frontier, wherever it was then."""
+        near = [a for a in self._attempts if math.dist(a.place, frontier) <= SAME_FRONTIER]
+        return min(near, key=lambda a: math.dist(a.place, frontier), default=None)
 
 
-def open_frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
-    """(n,) frontier nodes that are worth driving to from node `start`; where there are none, nodes beside virtual ground. Those around the
-    frontier driven to so far count as well where no other frontier is near it: else the robot would turn away to a far one at each crest.
+def _dark(grid: ElevationGrid, place: tuple[float, float]) -> float:
+    """Share of the ground within `SAME_FRONTIER` of x, y [m] that nobody saw."""
+    n = round(SAME_FRONTIER / grid.resolution)
+    c, r = (round((place[k] - grid.origin[k]) / grid.resolution) for k in (0, 1))
+    seen = grid.trusted[max(0, r - n) : max(0, r + n + 1), max(0, c - n) : max(0, c + n + 1)]
+    return 1.0 - float(seen.sum()) / (2 * n + 1) ** 2
 
-    The one that the robot is on its way to stays open until the robot has come to it.
-    """
-    previous = request.previous_frontier
-    out = _far(graph, start, request.seen_frontiers, graph.frontier, previous)
-    if request.been is None:
-        return out
-    beside = beside_virtual(graph, start, request)
-    if not out.any():
-        return beside
+
+def frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
+    """(n,) nodes beside ground that no ray came to, away from node `start` and from where the robot looked already; where
+    there are none, those beside virtual ground."""
+    nodes = graph.nodes[:, :2]
+    left = np.ones(len(nodes), np.bool_)
+    for x, y, radius in ((*nodes[start].tolist(), LOOKED_FROM), *request.tried):
+        left &= np.hypot(nodes[:, 0] - x, nodes[:, 1] - y) > radius
+    dark = graph.frontier & left
+    # Places of one query are none: the graph did not find them worth standing at.
+    return dark if dark.any() else _beside_virtual(graph) & (graph.node_ids >= 0) & left
+
+
+def with_hysteresis(
+    nodes: NDArray[np.float64],
+    to_go: NDArray[np.float64],
+    goal: tuple[float, float],
+    previous: tuple[float, float] | None,
+) -> NDArray[np.float64]:
+    """`to_go` (n,) [m] of nodes (n, >= 2), the longer the less they are the frontier driven to at x, y [m]."""
     if previous is None:
-        return out
-    near = np.hypot(*(graph.nodes[:, :2] - np.array(previous)).T) <= SAME_FRONTIER
-    return out if (out & near).any() else out | (beside & near)
+        return to_go
+    away, far = (np.hypot(nodes[:, 0] - x, nodes[:, 1] - y) for x, y in (previous, goal))
+    other = np.minimum(away / SAME_FRONTIER, 1.0)
+    return to_go + other * np.maximum(SWITCH_LEAST, SWITCH_SHARE * far)
 
 
-def beside_virtual(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
-    """(n,) nodes beside virtual ground where the robot has not been; none once these were exhausted. Places that are nodes of one query are none: the graph did not find
-    them worth standing at."""
-    if request.been is None:
-        return np.zeros(len(graph.nodes), np.bool_)
-    seen = (*request.seen_frontiers, *request.been)
-    lasting = graph.node_ids >= 0
-    return _far(graph, start, seen, _beside_virtual(graph) & lasting, request.previous_frontier)
+def worth_keeping(kept: float, best: float) -> bool:
+    """Whether what was chosen stays chosen although another is better; cost so far plus way to go [m]."""
+    return kept - best < max(SWITCH_LEAST, SWITCH_SHARE * kept)
 
 
 def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
@@ -129,14 +148,14 @@ def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
     if c is None:
         return np.zeros(len(graph.nodes), np.bool_)
     clear = 0.5 * graph.params.length
-    return virtual_around(
-        c.flags, *c.origin, c.res, np.ascontiguousarray(graph.nodes[:, :2]), clear, clear + BEGINS
-    )
+    points = np.ascontiguousarray(graph.nodes[:, :2])
+    return virtual_around(c.flags, *c.origin, c.res, points, clear, clear + BEGINS_WITHIN)
 
 
 @njit(cache=True)
 def virtual_around(flags, x0, y0, res, points, near, far):
-    """(n,) whether one of sixteen rays from points (n, 2) [m] comes to virtual ground between `near` and `far` [m] and to no face before."""
+    """(n,) whether one of sixteen rays from points (n, 2) [m] comes to virtual ground between `near` and `far` [m] and
+    to no face before."""
     rows, cols = flags.shape
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
@@ -153,68 +172,3 @@ def virtual_around(flags, x0, y0, res, points, near, far):
             if out[i]:
                 break
     return out
-
-
-def fields_of(graph: TraversalGraph) -> NDArray[np.bool_] | None:
-    """(rows, cols) of the graph's map: what lies in a stepfield with high posts; None where the graph knows no map."""
-    return None if graph.cells is None else graph.cells.flags & FIELD > 0
-
-
-def is_beside_virtual(graph: TraversalGraph, xy: tuple[float, float]) -> bool:
-    """Whether the node at x, y [m] was looked for as one beside virtual ground; False where it is gone."""
-    away = np.hypot(graph.nodes[:, 0] - xy[0], graph.nodes[:, 1] - xy[1])
-    return bool(away.min(initial=np.inf) < 1e-3 and not graph.frontier[int(away.argmin())])
-
-
-def _far(
-    graph: TraversalGraph,
-    start: int,
-    seen: Sequence[tuple[float, float]],
-    nodes: NDArray[np.bool_],
-    previous: tuple[float, float] | None,
-) -> NDArray[np.bool_]:
-    """Those of `nodes` (n,) that are not near the start or a place looked from already."""
-
-    def away(place: Sequence[float]) -> NDArray[np.float64]:
-        return np.hypot(graph.nodes[:, 0] - place[0], graph.nodes[:, 1] - place[1])
-
-    here = away(graph.nodes[start])
-    out = here > LOOKED
-    if previous is not None:
-        out |= (away(previous) <= ARRIVED) & (here > ARRIVED)
-    for place in seen:
-        out &= away(place) > LOOKED
-    return out & nodes
-
-
-def same_frontier(
-    nodes: NDArray[np.float64], to_go: NDArray[np.float64], previous: tuple[float, float]
-) -> NDArray[np.bool_]:
-    """(n,) which nodes (n, 2) may be the frontier at `previous` as it is now; `to_go` (n,) is the way from each [m]. From the mouth of a flat lane a robot went
-    back to the rim of the stepfield beside it, 0.65 m away, as if that were the same frontier, and then into the field."""
-    away = np.hypot(*(nodes - np.array(previous)).T)
-    return (away <= SAME_FRONTIER) & (to_go <= to_go[int(away.argmin())] + BACK)
-
-
-def worth_keeping(kept: float, best: float) -> bool:
-    """Whether the frontier chosen before stays chosen although another is better; cost so far plus way to go [m]."""
-    return kept - best < max(SWITCH_LEAST, SWITCH_SHARE * kept)
-
-
-def enters_field(graph: TraversalGraph, points: NDArray[np.float64]) -> bool:
-    """Whether a route over these points (n, >= 2) leads a robot outside of stepfields with high posts into one."""
-    x, y = points[:, 0], points[:, 1]
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    along = np.linspace(0.0, s[-1], int(s[-1] / FIELD_STEP) + 2)
-    inside = in_field(graph, np.column_stack([np.interp(along, s, x), np.interp(along, s, y)]))
-    return bool(not inside[0] and inside.sum() * FIELD_STEP > ENTERED)
-
-
-def over_unseen(plan: Plan) -> float:
-    """[m] of a plan that at most lead over ground that nobody saw: each transition counts with the unseen share of its worst pose."""
-    return sum(t.length * t.unknown for t in plan.transitions)
-
-
-def in_doubt(graph: TraversalGraph, plan: Plan) -> bool:
-    """Whether a plan to the goal is to be compared with frontiers."""
-    return enters_field(graph, plan.points) or over_unseen(plan) > UNSEEN

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,29 +12,21 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
-from planning.graph.edges import VIRTUAL_RISK
 from planning.graph.graph import TraversalGraph
-from planning.risk.body import BodyModel, weights_of
+from planning.risk.body import BodyModel, unseen_price, weights_of
+from planning.risk.cost import Weights
 from planning.risk.table import RiskTable
 from planning.search.attach import NEAREST, Spot
 from planning.search.endpoints import Endpoints, Place, endpoints, places_ahead, position
 from planning.search.explain import Route, describe
-from planning.search.frontier import (
-    beside_virtual,
-    enters_field,
-    fields_of,
-    in_doubt,
-    open_frontiers,
-    same_frontier,
-    worth_keeping,
-)
+from planning.search.frontier import frontiers, with_hysteresis, worth_keeping
 from planning.search.guarded import without
 from planning.search.keep import kept
 from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
 from planning.search.straight import all_turns, free_at, straighten
-from planning.search.to_go import in_field, through_virtual, way_to_go
+from planning.search.to_go import fields_of, way_to_go
 
 __all__ = [
     "SETS",
@@ -53,9 +46,6 @@ NEARER = 0.5
 """A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the
 robot stands: what blocks the way is judged from so far. With less the robot drove to and fro before a slope, and
 against it."""
-TWICE = 2.0
-"""See `_gives_way`. With any gain the robot left the way to the yard's platform for frontiers beside it (37 s instead
-of 22)."""
 HELD_TURNS = 12
 """Searches for a way of whose turns the guard holds none."""
 
@@ -121,16 +111,28 @@ def _searched(
 
 
 def _best(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan | None:
-    """The plan to the goal, or where that is the better or the only one to a frontier or towards the goal."""
-    graph = at.table.graph
+    """The plan to the goal; the one to a frontier where that is clearly better or there is no other; else one towards
+    the goal."""
     found = None if at.goal is None else _to_goal(at, request, start_yaw, goal_yaw)
-    if request.allow_frontier and (found is None or in_doubt(graph, found)):
-        other = _to_frontier(at, request, start_yaw)
-        if found is None or (other is not None and _gives_way(at, found, other)):
+    if not request.allow_frontier:
+        return found
+    arcs, goal = at.table.arcs, position(at.table.graph, request.goal, "goal")
+    straight = math.hypot(arcs.x[at.start] - goal[0], arcs.y[at.start] - goal[1])
+    w = weights_of(at.table.body)
+    if found is None or not worth_keeping(_bare(found, w), straight):
+        other = _to_frontier(at, request, start_yaw, goal)
+        # What is still to go from a frontier knows neither body nor turns, so the way to the goal counts without, too.
+        if found is None or (other is not None and not worth_keeping(_bare(found, w), _bare(other, w))):
             found = other
-        if found is None and at.seen:
-            found = _to_nearest(at, request, start_yaw)
+    if found is None and at.seen:
+        found = _to_nearest(at, request, start_yaw)
     return found
+
+
+def _bare(plan: Plan, w: Weights) -> float:
+    """[m] all the way to the goal, without the body's risk and turns."""
+    crossed = sum(t.price + w.unknown * t.length * t.unknown for t in plan.transitions)
+    return plan.native_cost + crossed + plan.to_go
 
 
 def plan_many(
@@ -195,55 +197,26 @@ def _to_goal(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: fl
     return None if found is None else replace(found, short=at.short)
 
 
-def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
+def _to_frontier(
+    at: Endpoints, request: PlanRequest, start_yaw: float, goal: tuple[float, float]
+) -> Plan | None:
     """The plan to the frontier with the least cost so far plus way to go (see `planning.search.frontier`)."""
-    graph, grid = at.table.graph, at.table.grid
+    graph = at.table.graph
     nodes = graph.nodes[:, :2]
-    goal = position(graph, request.goal, "goal")
-    ends = open_frontiers(graph, at.start, request)
-    if not ends.any():
+    ends = frontiers(graph, at.start, request)
+    # Where known ground alone lies between all of them and what hides the goal, they show nothing of the way there.
+    if not np.isfinite(way_to_go(at.table.grid, nodes, goal, nodes)[ends]).any():
         return None
-    to_go = way_to_go(grid, nodes, goal, fields_of(graph))
-    left = to_go
-    beside = beside_virtual(graph, at.start, request)
-    if (beside & ~ends).any():
-        # A plan may end where virtual ground begins over which a frontier can be reached.
-        left = np.where(ends, to_go, through_virtual(graph, ends, to_go, weights_of(at.table.body).native))
-        ends = ends | (beside & np.isfinite(left))
+    way, price = way_to_go(at.table.grid, nodes, goal, fields=fields_of(graph)), unseen_price(at.table.body)
+    ends &= np.isfinite(way)
+    way = np.where(ends, way, 0.0)
+    left = price * with_hysteresis(nodes, way, goal, request.previous_frontier)
     best = _search(at, request, ends, left, goal, start_yaw, np.nan)
     if best is None:
         return None
-    if enters_field(graph, best.points):
-        # What may lead around the field is looked at before.
-        around = beside & ~in_field(graph, nodes)
-        ends, left = ends | around, np.where(around, to_go, left)
-        best = _search(at, request, ends, left, goal, start_yaw, np.nan) or best
-    if request.previous_frontier is not None:
-        same = same_frontier(nodes, to_go, request.previous_frontier)
-        kept = _search(at, request, ends & same, left, goal, start_yaw, np.nan)
-        if kept is not None and worth_keeping(
-            kept.cost + left[kept.nodes[-1]], best.cost + left[best.nodes[-1]]
-        ):
-            best = kept
     x, y, _ = best.points[-1]
-    rest = float(left[best.nodes[-1]])
+    rest = price * float(way[best.nodes[-1]])
     return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=rest)
-
-
-def _gives_way(at: Endpoints, found: Plan, other: Plan) -> bool:
-    """Whether a plan to the goal gives way to the one to a frontier. One that leads into a stepfield does where it is
-    dearer, one over ground that nobody saw where it is twice as dear although its unseen ground counts as free, as what
-    lies beyond a frontier does: the way beyond may be blocked.
-    """
-    if enters_field(at.table.graph, found.points):
-        return not worth_keeping(found.worth, other.worth)
-    w = weights_of(at.table.body)
-    price = w.native * VIRTUAL_RISK + w.unknown
-    free = sum(
-        max(t.cost - price * t.length * t.unknown, t.length + t.turn_cost + t.price)
-        for t in found.transitions
-    )
-    return free > TWICE * other.worth
 
 
 def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
@@ -254,7 +227,7 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
     """
     nodes = at.table.graph.nodes[:, :2]
     goal = position(at.table.graph, request.goal, "goal")
-    to_go = way_to_go(at.table.grid, nodes, goal, fields_of(at.table.graph))
+    to_go = way_to_go(at.table.grid, nodes, goal, fields=fields_of(at.table.graph))
     nearest = np.argsort(to_go, kind="stable")[:NEAREST].tolist()
     for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER), at.start]:
         ends = np.arange(len(nodes)) == node
@@ -263,8 +236,8 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
         if found is None:
             continue
         if node == at.start:
-            left = way_to_go(at.table.grid, nodes[[node]], goal)
-            return replace(found, short=float(left[0]))
+            left = float(to_go[node])
+            return replace(found, short=left if math.isfinite(left) else math.dist((x, y), goal))
         return replace(found, reaches_goal=False, frontier=(x, y), to_go=float(to_go[node]))
     return None
 

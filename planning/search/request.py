@@ -60,11 +60,9 @@ class PlanRequest:
     """For a goal that cannot be reached over known ground, plan to the most promising frontier instead."""
     previous_frontier: tuple[float, float] | None = None
     """x, y [m] of the frontier driven to so far (`Plan.frontier`): it is kept unless another is clearly better."""
-    seen_frontiers: tuple[tuple[float, float], ...] = ()
-    """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
-    been: tuple[tuple[float, float], ...] | None = ()
-    """x, y [m] of where the robot has been on its way: virtual ground beside them shows nothing new. None: no virtual
-    ground does."""
+    tried: tuple[tuple[float, float, float], ...] = ()
+    """x, y, radius [m] around places where the robot looked from already, and around frontiers that it gave up, in which
+    no frontier is left."""
     rules: DriveRules = DriveRules()
     driven: Driven | None = None
     """Kept where it leads to the same end, unless the new route is clearly better (`planning.search.keep`)."""

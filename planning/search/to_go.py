@@ -1,5 +1,4 @@
-"""What is still to go to a goal beyond known ground, from where a plan may end. Ground that nobody saw counts as free:
-what is left can hardly be cheaper."""
+"""What is still to go to a goal beyond known ground, from where a plan may end."""
 
 from __future__ import annotations
 
@@ -9,37 +8,44 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from mapping.grid import ElevationGrid
 from planning.graph.closing import closed
 from planning.graph.fields import SPREAD
-from planning.graph.flags import FIELD, VIRTUAL
+from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
 
 CELL = 0.2
 """Raster of the way through unknown ground [m]."""
-KEEP_OFF = 0.2
-"""That way keeps this far from known obstacles [m]: a little less than half the body, for it must not be too long."""
+KEEP_OFF = 0.15
+"""That way keeps this far from known obstacles [m]: less than half the body, so that a gap of half a metre stays open."""
 OBSTACLE = 0.25
 """A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
-CLOSED = 1e3
-"""Added where known obstacles close every way to the goal [m]: such a frontier comes last."""
+AROUND_NODE = 0.4
+"""[m] around a place that the robot can come to the ground is known."""
 IN_FIELD = 11.0
 """What a metre of the way to go counts in a stepfield with high posts."""
+LEAVES_WITHIN = 0.8
+"""[m] from a frontier node to ground that nobody saw, at most: half a body and a ring (`planning.graph.describe`)."""
 
 
 def way_to_go(
     grid: ElevationGrid,
     points: NDArray[np.float64],
     goal: tuple[float, float],
+    reached: NDArray[np.float64] | None = None,
     fields: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
-    """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open.
+    """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open,
+    infinite where there is none. Ground off the map is open.
 
-    Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way. A metre in
-    `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that was not
-    seen, where these are less than `SPREAD` apart: most likely they go on there. What lies on one side of them alone
-    may be the way around.
+    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that
+    was not seen, where these are less than `SPREAD` apart: most likely they go on there. What lies on one side of them
+    alone may be the way around.
+
+    `reached`: (k, >= 2) places that the robot can come to, such as the nodes of its graph. The way then does not lead
+    back over the ground around them: where it would leave it again, another place is nearer.
     """
     x0, y0, x1, y1 = grid.extent
     # one cell of free ground around the map: who leaves it may go around everything
@@ -54,57 +60,40 @@ def way_to_go(
     inside = x0 <= goal[0] <= x1 and y0 <= goal[1] <= y1
     # the goal may stand close to something
     seeds = straight <= 1.5 * CELL if inside else rim
+    known = np.zeros(shape, np.bool_)
+    if reached is not None:
+        row, col = _cells_of(reached, (ox, oy), shape)
+        known[row, col] = True
+        known = ndimage.binary_dilation(known, np.ones((3, 3)), round(AROUND_NODE / CELL))
     dear = np.ones(shape)
     if fields is not None and fields.any():
         span = round(SPREAD / grid.resolution)
         whole = closed(np.pad(fields, span).astype(np.float32), span)[span:-span, span:-span] > 0.0
         fields = fields | (whole & ~grid.trusted)
         # the raster's cells whose middle lies in a field
-        row = np.floor((y[:, 0] + oy - y0) / grid.resolution + 0.5).astype(np.int64)
-        col = np.floor((x[0] + ox - x0) / grid.resolution + 0.5).astype(np.int64)
-        on = np.outer((row >= 0) & (row < fields.shape[0]), (col >= 0) & (col < fields.shape[1]))
-        middle = fields.take(row, 0, mode="clip").take(col, 1, mode="clip")
-        dear[on & middle] = IN_FIELD
-    way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim, dear)
-    col = np.clip(np.floor((points[:, 0] - ox) / CELL + 0.5).astype(np.int64), 1, shape[1] - 2)
-    row = np.clip(np.floor((points[:, 1] - oy) / CELL + 0.5).astype(np.int64), 1, shape[0] - 2)
+        rows = np.floor((y[:, 0] + oy - y0) / grid.resolution + 0.5).astype(np.int64)
+        cols = np.floor((x[0] + ox - x0) / grid.resolution + 0.5).astype(np.int64)
+        on = np.outer((rows >= 0) & (rows < fields.shape[0]), (cols >= 0) & (cols < fields.shape[1]))
+        dear[on & fields.take(rows, 0, mode="clip").take(cols, 1, mode="clip")] = IN_FIELD
+    way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim, known, dear)
     # a node may stand nearer to an obstacle than KEEP_OFF: the best of the cells around it
-    near = np.min([way[row + i, col + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
+    near = ndimage.minimum_filter(way, 3, mode="constant", cval=np.inf)
+    row, col = _cells_of(points, (ox, oy), shape)
     line = np.hypot(points[:, 0] - goal[0], points[:, 1] - goal[1])
-    return np.where(np.isfinite(near), np.maximum(near, line), line + CLOSED)
+    return np.asarray(np.maximum(near[row, col], line))
 
 
-def through_virtual(
-    graph: TraversalGraph, ends: NDArray[np.bool_], to_go: NDArray[np.float64], price: float
-) -> NDArray[np.float64]:
-    """(n,) least way [m] from each node over the graph to one of `ends` (n,) and from there `to_go` (n,) [m]; inf where
-    none is reached.
-
-    Virtual ground outside of stepfields counts as free, as what lies beyond a frontier does, other ground with its risk
-    at `price` and what it crosses.
-    """
-    flags = flags_at(graph, graph.nodes)
-    hidden = flags & (VIRTUAL | FIELD) == VIRTUAL
-    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
-    length = np.hypot(*(graph.nodes[source, :2] - graph.nodes[graph.indices, :2]).T)
-    free = hidden[source] | hidden[graph.indices]
-    cost = np.where(free, length, graph.costs(price, back=True))  # asked from the ends on
-    return least_way(graph.indptr, graph.indices.astype(np.int64), cost, np.where(ends, to_go, np.inf))
+def fields_of(graph: TraversalGraph) -> NDArray[np.bool_] | None:
+    """(rows, cols) of the graph's map: what lies in a stepfield with high posts; None where the graph knows no map."""
+    return None if graph.cells is None else graph.cells.flags & FIELD > 0
 
 
-def in_field(graph: TraversalGraph, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) which of points (n, >= 2) [m] lie in a stepfield with high posts."""
-    return flags_at(graph, points) & FIELD > 0
-
-
-def flags_at(graph: TraversalGraph, points: NDArray[np.float64]) -> NDArray[np.uint16]:
-    """(n,) flags of the cells below points (n, >= 2) [m]; 0 where the graph knows no map."""
-    c = graph.cells
-    if c is None:
-        return np.zeros(len(points), np.uint16)
-    col, row = (np.floor((points[:, k] - c.origin[k]) / c.res + 0.5).astype(np.int64) for k in (0, 1))
-    rows, cols = c.flags.shape
-    return np.asarray(c.flags[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)])
+def _cells_of(
+    points: NDArray[np.float64], origin: tuple[float, float], shape: tuple[int, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column of points (n, >= 2) [m] on the raster, clipped."""
+    col, row = (np.floor((points[:, k] - origin[k]) / CELL + 0.5).astype(np.int64) for k in (0, 1))
+    return np.clip(row, 1, shape[0] - 2), np.clip(col, 1, shape[1] - 2)
 
 
 @njit(cache=True)
@@ -151,10 +140,11 @@ def _block(height, trusted, res, dx, dy, blocked):
 
 
 @njit(cache=True)
-def _flood(blocked, way, free, dear):
-    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked. `dear`:
-    what a metre counts there."""
+def _flood(blocked, way, free, known, dear):
+    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked. It comes no
+    farther than `LEAVES_WITHIN` into cells in `known`. `dear`: what a metre counts."""
     rows, cols = way.shape
+    deep = np.zeros(way.shape)
     heap = [(0.0, 0, 0) for _ in range(0)]
     for r in range(rows):
         for c in range(cols):
@@ -166,10 +156,12 @@ def _flood(blocked, way, free, dear):
             continue
         for a in range(max(0, r - 1), min(rows, r + 2)):
             for b in range(max(0, c - 1), min(cols, c + 2)):
-                if blocked[a, b] and not free[a, b]:
+                step = CELL * math.hypot(a - r, b - c)
+                depth = deep[r, c] + step if known[a, b] else 0.0
+                if (blocked[a, b] and not free[a, b]) or depth > LEAVES_WITHIN:
                     continue
-                new = d + CELL * math.hypot(a - r, b - c) * 0.5 * (dear[r, c] + dear[a, b])
+                new = d + step * 0.5 * (dear[r, c] + dear[a, b])
                 if new < way[a, b]:
-                    way[a, b] = new
+                    way[a, b], deep[a, b] = new, depth
                     heapq.heappush(heap, (new, a, b))
     return way

@@ -27,7 +27,6 @@ from planning.path import (
 from planning.risk.body import BodyModel
 from planning.search.guarded import drives_over
 from planning.search.plan import DriveRules, Plan, PlanRequest
-from planning.search.to_go import through_virtual
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.areas import fence_of
@@ -150,8 +149,6 @@ class PlannerStage:
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
         graph = stage._map.graph
         assert graph is not None
-        # The made-up ground has no virtual part, so no plan came to this.
-        through_virtual(graph, np.ones(len(graph.nodes), np.bool_), np.zeros(len(graph.nodes)), 1.0)
         around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)
         robot = drives_over(stage._map.params)
         known_behind(around, here, Body.of(robot), robot.max_gap, 0.1)

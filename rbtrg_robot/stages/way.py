@@ -24,7 +24,7 @@ from planning.path import (
 )
 from planning.risk.body import BodyModel
 from planning.search.explain import with_chance
-from planning.search.frontier import FrontierMemory, is_beside_virtual
+from planning.search.frontier import Tried
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
@@ -95,9 +95,7 @@ class WaySearch:
 
     def _begin(self, goal: str) -> None:
         self._goal = goal
-        self._memory = FrontierMemory()
-        self._looks_over = False
-        """The frontier on the way to lies beside virtual ground."""
+        self._tried = Tried()
         self._hidden: list[tuple[float, float, float]] = []
         """x, y, radius [m] of ground on the way that cannot be seen from where it begins; kept off until it was seen.
         """
@@ -118,16 +116,14 @@ class WaySearch:
         self.begins(terrain, here)
         if self._crept is not None and math.dist(here, self._crept) > LEFT:
             self._crept = None
-        self._memory.at(here, now / NS, virtual=self._looks_over)
+        self._tried.at(here, terrain.grid)
         try:
             way = self._seen(terrain, message, driven)
         except NoRoute:
             if not message.creep or (onto := self._onto_unseen(terrain, message)) is None:
                 raise
             way, self._crept = onto, here
-        self._memory.found(way.plan.frontier)
-        graph = terrain.graph
-        self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))
+        self._tried.found(way.plan.frontier, way.plan.length, now / NS, terrain.grid)
         return replace(way, plan=self.told(terrain, way.plan))
 
     @staticmethod
@@ -162,7 +158,6 @@ class WaySearch:
                 found, whole = self._in_graphs(terrain, message, driven)
             except NoRoute:
                 if way == 0:
-                    self._memory.exhausted = True
                     raise
                 break  # what hides the first way is the reason
             assert terrain.graph is not None
@@ -187,13 +182,13 @@ class WaySearch:
         """The begin of the best way over ground that nobody saw, to be crept; None where there is none. Frontiers that
         were looked from count: on the way to them the robot sees no more, but it comes over them."""
         self._hidden, self._forward = [], True
-        memory, self._memory = self._memory, FrontierMemory()
+        tried, self._tried = self._tried, Tried()
         try:
             found, whole = self._in_graphs(terrain, message, None)
         except NoRoute:
             return None
         finally:
-            self._memory = memory
+            self._tried = tried
         if terrain.graph is None:
             return None
         path = creeping(whole, terrain.graph, self._body.width, self._creep)
@@ -245,9 +240,8 @@ class WaySearch:
             driven=Driven(*ahead) if ahead is not None and not (self._forward and ahead[1].any()) else None,
             held=(message.held_left, message.held_right),
             allow_frontier=True,
-            previous_frontier=self._memory.chosen,
-            seen_frontiers=tuple(self._memory.seen),
-            been=None if self._memory.exhausted else tuple(self._memory.been),
+            previous_frontier=self._tried.chosen,
+            tried=tuple(self._tried.places),
         )
         if self._other is not None:
             found = self._other(terrain.ground(), request)

@@ -12,7 +12,7 @@ from planning.errors import NoRoute
 from planning.graph.graph import TraversalGraph
 from planning.path import make_path, still_safe
 from planning.risk.body import BodyModel
-from planning.search.frontier import FrontierMemory
+from planning.search.frontier import Tried
 from planning.search.plan import PlanRequest, plan
 
 WALL = 0.12
@@ -155,23 +155,23 @@ def explore(world: World, blind: float = 0.0, every: float = 1.2, limit: float =
 
     xy, yaw = world.start, None
     graph = TraversalGraph.build(grid(), xy)
-    memory = FrontierMemory()
+    tried = Tried()
     while run.driven < limit:
-        memory.at(xy, 0.0)
+        tried.at(xy, grid())
         ask = PlanRequest(
             xy,
             world.goal,
             yaw,
             allow_frontier=True,
-            previous_frontier=memory.chosen,
-            seen_frontiers=tuple(memory.seen),
+            previous_frontier=tried.chosen,
+            tried=tuple(tried.places),
         )
         try:
             found = plan(graph, grid(), ask, body)
         except NoRoute as none:
             run.end = none.reason.value
             break
-        memory.chosen = found.frontier
+        tried.found(found.frontier, found.length, 0.0, grid())
         if found.frontier is not None:
             run.frontiers.append(found.frontier)
         path = make_path(found, grid(), body)

@@ -211,10 +211,10 @@ def test_a_goal_beyond_known_ground_ends_at_the_most_promising_frontier():
     assert kept.frontier == (5.0, 1.2)
     # What lies behind the robot is clearly worse and given up.
     assert plan(graph, grid, replace(ask, previous_frontier=(2.0, 1.2)), BODY).frontier == (5.0, 2.8)
-    everywhere = ((5.0, 2.8), (5.0, 1.2), (2.0, 2.8))
-    assert plan(graph, grid, replace(ask, seen_frontiers=everywhere), BODY).frontier == (2.0, 1.2)
+    everywhere = ((5.0, 2.8, 0.3), (5.0, 1.2, 0.3), (2.0, 2.8, 0.3))
+    assert plan(graph, grid, replace(ask, tried=everywhere), BODY).frontier == (2.0, 1.2)
     with pytest.raises(NoRoute) as error:
-        plan(graph, grid, replace(ask, seen_frontiers=(*everywhere, (2.0, 1.2))), BODY)
+        plan(graph, grid, replace(ask, tried=(*everywhere, (2.0, 1.2, 0.3))), BODY)
     assert error.value.reason is NoRouteReason.NO_ROUTE
     with pytest.raises(NoRoute) as error:
         plan(graph, grid, replace(ask, allow_frontier=False), BODY)

@@ -228,7 +228,7 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
     nodes = at.table.graph.nodes[:, :2]
     goal = position(at.table.graph, request.goal, "goal")
     to_go = way_to_go(at.table.grid, nodes, goal, fields=fields_of(at.table.graph))
-    nearest = np.argsort(to_go, kind="stable")[:NEAREST].tolist()
+    nearest = np.argsort(to_go, kind="stable")[:NEAREST].tolist()  # one that no way leads from is not nearer
     for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER), at.start]:
         ends = np.arange(len(nodes)) == node
         x, y = nodes[node].tolist()
@@ -236,8 +236,7 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
         if found is None:
             continue
         if node == at.start:
-            left = float(to_go[node])
-            return replace(found, short=left if math.isfinite(left) else math.dist((x, y), goal))
+            return replace(found, short=float(to_go[node]))
         return replace(found, reaches_goal=False, frontier=(x, y), to_go=float(to_go[node]))
     return None
 

@@ -151,7 +151,8 @@ class MapGraph:
             self.sync(start)
             return
         nodes = graph.nodes[:, :2]
-        end = nodes[way_to_go(grid, nodes, goal).argsort()[:1]]
+        line = np.hypot(*(nodes - goal).T)
+        end = nodes[np.lexsort((line, way_to_go(grid, nodes, goal)))[:1]]
         self.graph = graph.redrawn(grid, np.vstack([start, end, goal]), AROUND, self.seed - graph.seed)
 
     def ground(self) -> ElevationGrid:

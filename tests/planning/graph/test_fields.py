@@ -106,7 +106,7 @@ def test_what_may_lead_around_a_field_is_looked_at_before_the_field_is_entered()
     z[(X < 0.1) | (X > 3.86) | (Y < 0.1) | (Y > 2.26)] = 0.6
     hidden = (Y > 1.3) & (np.abs(X - 2.0) < 0.7)
     params = GraphParams(max_posts=0.10, controller="vmc", blind_radius=0.0)
-    request = PlanRequest((0.7, 0.6), (3.3, 0.6), allow_frontier=True, been=())
+    request = PlanRequest((0.7, 0.6), (3.3, 0.6), allow_frontier=True)
     for seen in (np.ones(z.shape, bool), ~hidden):
         grid = ElevationGrid(z.astype(np.float32), seen, (0.0, 0.0), RES)
         found = plan(TraversalGraph.build(grid, (0.7, 0.6), params), grid, request)

@@ -31,14 +31,12 @@ from rbtrg_robot.console.desk import FAILED, ONLY_SEE, Answer, Desk, Page, Refus
 from rbtrg_robot.console.door import STOP, WHO, Visitor
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.frames import finite
-from rbtrg_robot.console.missions import LAST_STEP
+from rbtrg_robot.console.missions import LARGEST, LAST_STEP
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire.messages import stamp_of
 
 log = logging.getLogger(__name__)
 
-LARGEST = 100_000
-"""Bytes of a body: a mission of some hundred steps."""
 STATE = ("robot", "goal", "mission", "mission_order", "map", "pose", "route", "areas", "stop")
 """Kinds of the page's frames that are kept while nobody looks."""
 ALIVE = 2.0
@@ -91,6 +89,18 @@ class Mission(_Body):
     )
     order_id: str = Field("", max_length=100, description="only if it is this mission; empty = any")
     answer: str = Field("", max_length=100)
+    moved: list[tuple[int, float, float]] = Field(
+        [], max_length=1000, description="`run`: steps that go elsewhere; number of a `goto`, x, y [m]"
+    )
+
+
+class Moved(_Body):
+    """A mission file with places elsewhere."""
+
+    file: str = Field(max_length=100, description="of GET /missions")
+    moved: list[tuple[int, float, float]] = Field(
+        [], max_length=1000, description="number of a `goto`, x, y [m]"
+    )
 
 
 class Ground(_Body):
@@ -204,6 +214,7 @@ CALLS = (
     Call("GET", "/about", "The robot, its scene, its limits."),
     Call("GET", "/missions", "The mission files."),
     Call("GET", "/missions/{file}", "The steps of one."),
+    Call("POST", "/missions/{file}", "Save one under this name, with places elsewhere.", Moved),
     Call("GET", "/areas", "The saved areas."),
     Call("POST", "/areas/{name}", "Save an area under this name.", Area),
     Call("GET", "/maps", "The saved maps."),

@@ -1,7 +1,10 @@
-"""Missions: list the files, look into one, run it, interrupt it, answer. What reads the disk runs in worker threads."""
+"""Missions: list the files, look into one, move its places, run it, interrupt it, answer. What touches the disk runs in
+worker threads."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
 import uuid
 from pathlib import Path
@@ -12,16 +15,20 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from hal.errors import OperatorError
 from hal.regular import is_own
 from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console.archive import body_of, operator
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
 from rbtrg_robot.console.frames import mission_order
-from rbtrg_robot.missions.file import MissionError, MissionFile, load, outing, parse
+from rbtrg_robot.missions.file import MissionError, MissionFile, dump, load, outing, parse
 from rbtrg_robot.orders.mission import TellMission
 
 FOLDER = "missions"
 """Beside the runs."""
 LAST_STEP = 1_000_000
+LARGEST = 100_000
+"""Bytes of a mission that is posted."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]{0,80}\.ya?ml")
 
 
@@ -35,7 +42,11 @@ class MissionFiles:
 
     def routes(self) -> list[Route]:
         """Of the server."""
-        return [Route("/missions", self._list), Route("/missions/{file}", self._look)]
+        return [
+            Route("/missions", self._list),
+            Route("/missions/{file}", self._look),
+            Route("/missions/{file}", self._save, methods=["POST"]),
+        ]
 
     def load(self, name: str) -> MissionFile:
         """A file by its name. Raises MissionError."""
@@ -65,7 +76,34 @@ class MissionFiles:
     def _wanted(self, wish: dict[str, Any]) -> MissionFile:
         """The mission itself, or a file's. Raises MissionError."""
         own = wish.get("mission")
-        return parse(own, "this mission") if own is not None else self.load(str(wish.get("file")))
+        mission = parse(own, "this mission") if own is not None else self.load(str(wish.get("file")))
+        return mission.moved(_places(wish))
+
+    async def _save(self, request: Request) -> Response:
+        """A file under another name, with places elsewhere."""
+        name = request.path_params["file"]
+        target = self._folder / name
+        try:
+            operator(request)
+            wish = json.loads(await body_of(request, LARGEST))
+            if not NAME.fullmatch(name):
+                raise Refused("a name has letters, digits, - and _, and ends with .yaml")
+            await run_in_threadpool(self._write, target, wish)
+        except OperatorError as error:
+            return JSONResponse({"words": str(error)}, 403)
+        except (ValueError, AttributeError, RecursionError):
+            return JSONResponse({"words": "say `file`, and `moved`: rows of step, x and y in metres"}, 400)
+        except OSError as error:
+            return JSONResponse({"words": f"cannot write into {self._folder}: {error.strerror}"}, 507)
+        return JSONResponse({"words": f"saved as {target}"})
+
+    def _write(self, target: Path, wish: dict[str, Any]) -> None:
+        text = dump(self._wanted(wish))
+        try:
+            with target.open("x") as file:
+                file.write(text)
+        except FileExistsError as error:
+            raise Refused(f"{target.name} exists; choose another name") from error
 
     async def _explore(self, page: Page, wish: dict[str, Any]) -> Answer:
         return await self._go_out("explore", ("area", "minutes", "until"), page, wish)
@@ -107,3 +145,14 @@ class MissionFiles:
         except MissionError as error:
             return JSONResponse({"words": str(error)}, 404)
         return JSONResponse(mission_order(mission.order("")))
+
+
+def _places(wish: dict[str, Any]) -> dict[int, tuple[float, float]]:
+    """`moved` of a wish: x, y [m] by the number of the step. Raises Refused."""
+    try:
+        places = {int(step): (float(x), float(y)) for step, x, y in wish.get("moved") or ()}
+    except (TypeError, ValueError, OverflowError) as error:
+        raise Refused("a place that is moved has the number of its step, x and y in metres") from error
+    if not all(math.isfinite(v) for place in places.values() for v in place):
+        raise Refused("a place is x and y in metres")
+    return places

@@ -1,10 +1,11 @@
-"""Moments worth a later look: stops, falls, refusals. Thinly recorded topics are recorded in full around them."""
+"""Moments worth a later look: stops, falls, touches, refusals. Thinly recorded topics are recorded in full around them."""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import Any
 
+from hal.safety.gate_types import RefusalReason
 from rbtrg_robot import topics as t
 from rbtrg_robot.topics import Topic
 
@@ -12,7 +13,7 @@ AROUND = 5.0
 """[s] before and after."""
 FAILED = ("rejected", "aborted")
 """States of a goal that was not reached for a reason of its own."""
-HEARS: tuple[Topic, ...] = (t.ROBOT_STATE, t.GOAL_STATUS)
+HEARS: tuple[Topic, ...] = (t.ROBOT_STATE, t.GOAL_STATUS, t.TOUCHED)
 
 
 class Moments:
@@ -22,10 +23,24 @@ class Moments:
         self._wrong: dict[Topic, tuple[Any, ...]] = {}
 
     def begins(self, topic: Topic, message: Any) -> bool:
-        """Whether something has just gone wrong: a stop, a fault, a goal that ended without being reached."""
+        """Whether something has just gone wrong: a stop, a fault, a touch, a command that was refused, a goal that ended
+        without being reached."""
+        if t.TOUCHED.carried(message, topic):
+            return True
         if t.ROBOT_STATE.carried(message, topic):
-            now: tuple[Any, ...] = (message.estop, message.phase == "fault", message.hold.startswith("guard"))
-            worse = any(b and not a for a, b in zip(self._wrong.get(topic, (False,) * 3), now, strict=True))
+            refused = zip(message.refused_reason, message.refused_count.tolist(), strict=True)
+            count = sum(
+                n for reason, n in refused if reason != RefusalReason.LATCHED
+            )  # a stop refuses all the time
+            now: tuple[Any, ...] = (
+                message.estop,
+                message.phase == "fault",
+                message.hold.startswith("guard"),
+                count,
+            )
+            worse = any(
+                b > a for a, b in zip(self._wrong.get(topic, (False, False, False, count)), now, strict=True)
+            )
         elif t.GOAL_STATUS.carried(message, topic):
             failed = message.state in FAILED
             now = (message.id, failed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -326,6 +327,26 @@ class MissionFile(_Model):
             steps=steps,
             loops=loops,
         )
+
+    def moved(self, places: Mapping[int, tuple[float, float]]) -> MissionFile:
+        """With the places of some `goto` elsewhere: x, y [m] by the number of the step, counted from 1 as `numbered`
+        does. Raises MissionError where that is no `goto`."""
+        count, left = itertools.count(1), dict(places)
+
+        def other(node: Any) -> Any:
+            if isinstance(node, Loop):
+                inner = tuple(map(other, node.loop.steps))
+                return node.model_copy(update={"loop": node.loop.model_copy(update={"steps": inner})})
+            number = next(count)
+            if number not in left or not isinstance(node, Goto):
+                return node
+            x, y = left.pop(number)
+            return node.model_copy(update={"goto": node.goto.model_copy(update={"x": x, "y": y})})
+
+        found = self.model_copy(update={"steps": tuple(map(other, self.steps))})
+        if left:
+            raise MissionError(f"step {min(left)} is no `goto`: only places to go to can be moved")
+        return found
 
     def _collect(
         self, tree: tuple[Step, ...], steps: list[msg.MissionStep], loops: list[msg.MissionLoop]

@@ -40,7 +40,9 @@ def views_of(terrain: MapGraph, question: msg.ExploreQuestion, body: BodyModel, 
     answer.x, answer.y = array(found.xy[:, 0], F64), array(found.xy[:, 1], F64)
     answer.gain, answer.way = array(found.gain, F64), array(found.way, F64)
     answer.seen, answer.hidden, answer.home = found.seen, found.hidden, found.home
-    answer.unreachable_x, answer.unreachable_y = (array(found.unreachable[:, k], F64) for k in (0, 1))
+    # What lies beyond the fence is not left: nobody wants it seen.
+    left = np.array([at for at in found.unreachable if terrain.fence.breach(*at)[0] <= 0.0]).reshape(-1, 2)
+    answer.unreachable_x, answer.unreachable_y = (array(left[:, k], F64) for k in (0, 1))
     return answer
 
 

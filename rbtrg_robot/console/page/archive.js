@@ -10,7 +10,7 @@ export function makeArchive(link, free) {
     const found = await get("/runs");
     table(
       $("runs"),
-      ["run", "MB", ["", "text"], ["", "text"]],
+      ["run", "MB", ["", "text"]],
       found.map((run) => {
         const act = document.createElement("span");
         act.className = "row";
@@ -23,12 +23,8 @@ export function makeArchive(link, free) {
             post(`/runs/${run.name}/keep`, { keep: !run.kept }).then(runs).catch(say),
           ),
         );
-        return [
-          [run.name, "wrap"],
-          figure(run.megabytes, 1),
-          [run.now ? "this run" : run.kept ? "kept" : "", "wrap"],
-          act,
-        ];
+        const said = run.now ? "this run" : run.kept ? "kept" : "";
+        return [[said ? `${run.name}, ${said}` : run.name, "wrap"], figure(run.megabytes, 1), act];
       }),
     );
   }
@@ -39,6 +35,7 @@ export function makeArchive(link, free) {
     $("run-card").hidden = false;
     shown = name;
     put("run-name", name);
+    $("photos").open = false;
     list($("run-facts"), [
       ...meta.filter(([key]) => !key.startsWith("package")).map(([key, value]) => [key, String(value)]),
       ...unfinished.map((file) => ["being written", `${file}: what it holds is counted at its end`]),
@@ -51,6 +48,30 @@ export function makeArchive(link, free) {
     );
     $("run-card").scrollIntoView();
   }
+  // The newest first; each is fetched when it comes on screen.
+  async function photos() {
+    const name = shown;
+    $("photo-list").replaceChildren();
+    put("photos-said", "Reading…");
+    const found = await get(`/runs/${name}/photos`);
+    if (name !== shown) return;
+    put("photos-said", found.length ? "" : "No photos. `Photo` under the camera's picture keeps one.");
+    $("photo-list").replaceChildren(
+      ...found.toReversed().map(({ name: file, stamp }) => {
+        const made = document.createElement("li"),
+          image = document.createElement("img"),
+          at = new Date(1000 * stamp).toLocaleString([], { hour12: false });
+        image.loading = "lazy";
+        image.alt = `Photo of ${at}`;
+        image.src = `/runs/${name}/photos/${file}`;
+        made.append(image, anchor(at, image.src));
+        return made;
+      }),
+    );
+  }
+  $("photos").ontoggle = () => {
+    if ($("photos").open) photos().catch((error) => put("photos-said", error.message));
+  };
   $("reload-runs").onclick = () => runs().catch(say);
   async function wish(content) {
     const answer = await link.wish(content).catch((error) => ({ words: error.message }));

@@ -1,4 +1,4 @@
-// Drawn on the ground: places to drive through, or an area to explore. Nothing moves before it is sent.
+// Drawn on the ground: places to drive through, or an area to explore or to cover. Nothing moves before it is sent.
 import { $, button, figure, get, post, put } from "./tell.js";
 
 export function makeDraw(link, view, about, free) {
@@ -20,7 +20,7 @@ export function makeDraw(link, view, about, free) {
     const points = world.drawn?.points ?? [];
     $("draw-acts").hidden = !mode;
     $("draw-go").hidden = mode !== "way";
-    $("draw-explore").hidden = $("area-form").hidden = mode !== "area";
+    $("draw-explore").hidden = $("draw-cover").hidden = $("area-form").hidden = mode !== "area";
     const hint =
       mode === "area" ? "Tap its corners in their order." : "Tap the places in their order; drag for a heading.";
     const many = `${points.length} ${mode === "area" ? "corner" : "place"}${points.length > 1 ? "s" : ""}`;
@@ -31,7 +31,7 @@ export function makeDraw(link, view, about, free) {
   function lock() {
     const few = (world.drawn?.points.length ?? 0) < least();
     $("draw-undo").disabled = $("draw-clear").disabled = !world.drawn?.points.length;
-    for (const id of ["draw-go", "draw-explore", "area-save", "area-out", "area-in"])
+    for (const id of ["draw-go", "draw-explore", "draw-cover", "area-save", "area-out", "area-in"])
       $(id).disabled = few || !free.may();
     for (const made of document.querySelectorAll("#fence button")) made.disabled = !free.may();
     $("fence-undo").disabled ||= !before.length;
@@ -69,6 +69,7 @@ export function makeDraw(link, view, about, free) {
     const goto = ({ x, y, yaw }) => ({ goto: { x, y, yaw_deg: yaw === null ? null : (yaw * 180) / Math.PI } });
     send({ do: "mission", what: "run", mission: { name: "drawn way", steps: world.drawn.points.map(goto) } });
   };
+  $("draw-cover").onclick = () => send({ do: "cover", area: corners() });
   $("draw-explore").onclick = () => send({ do: "explore", area: corners() });
   // What counts from now on.
   async function enclose(next, undone = false) {

@@ -53,6 +53,7 @@ const view = mount($("view"), {
   flat: new URLSearchParams(location.search).has("flat"),
   said: (words) => (picture ? picture.hint(words) : put("hint", words)),
   followed: (on) => $("follow").setAttribute("aria-pressed", on),
+  grab: (x, y) => missions?.grab(x, y),
   pick(x, y, yaw) {
     if (lead) return lead.pick(x, y);
     if (maps.pick(x, y, yaw) || draw.pick(x, y, yaw)) return;

@@ -1,5 +1,5 @@
 // Missions: the files, the steps on the ground, how far the robot is, and the answer to what it asks.
-import { $, button, figure, get, put, table, twice } from "./tell.js";
+import { $, button, figure, get, post, put, table, twice } from "./tell.js";
 
 const STATUS = {
   WAITING: "",
@@ -14,7 +14,8 @@ const ACTIVE = ["running", "holding", "paused"];
 export function makeMissions(link, view, free) {
   const { world } = view;
   let file = null,
-    asked = "";
+    asked = "",
+    before = []; // places of the file's steps that were moved, for undo
 
   const tell = (content) => free.tell({ do: "mission", ...content });
   const present = () => {
@@ -117,17 +118,18 @@ export function makeMissions(link, view, free) {
       ([first, last, times]) => `steps ${first} to ${last}, ${times ? `${times} times` : "for ever"}`,
     );
     const loss = {
+      "": "without an operator in contact it does what comms.on_loss of the stack says",
       continue: "goes on without an operator in contact",
       hold: "stands without an operator in contact",
       return: "drives home without an operator in contact",
     }[order.on_comms_loss];
     put(
       "file-facts",
-      [loss + (order.on_comms_loss === "continue" ? "" : ` for ${figure(order.comms_timeout, 0)} s`), ...loops].join(
-        "; ",
-      ),
+      [loss + (order.comms_timeout ? ` for ${figure(order.comms_timeout, 0)} s` : ""), ...loops].join("; "),
     );
-    steps("file-steps", order, null, -1);
+    before = [];
+    $("file-as").value = name.replace(/\.ya?ml$/, "-moved");
+    listed();
     $("file-from").replaceChildren(...order.steps.map((_, k) => new Option(String(k + 1))));
     const first = order.steps.find((step) => step.x !== undefined);
     if (first) view.look(first.x, first.y);
@@ -135,6 +137,60 @@ export function makeMissions(link, view, free) {
     lock();
     show();
   }
+  // --- its places, moved by hand ----------------------------------------------------------------------------
+  const moved = () => file.steps.flatMap((step, k) => (step.moved ? [[k + 1, step.x, step.y]] : []));
+  function listed() {
+    steps("file-steps", file, null, -1);
+    $("file-form").hidden = !before.length && !moved().length;
+    $("file-undo").disabled = !before.length;
+    const many = moved().length;
+    put("file-moved", many ? `${many} moved; the file is as it was.` : "Drag a step on the ground to move it.");
+  }
+  function putAt(step, { x, y, moved: apart }) {
+    Object.assign(step, { x, y, moved: apart });
+    step.words = step.words.replace(/^goto \S+ \S+/, `goto ${figure(step.x)} ${figure(step.y)}`);
+    show();
+  }
+  // What goes with a finger that presses here: a step of the file that is looked at.
+  function grab(x, y) {
+    if (!file || $("missions").hidden) return null;
+    const near = 0.04 * view.camera.distance; // metres: a finger's width
+    const away = (step) => (step.x === undefined ? Infinity : Math.hypot(step.x - x, step.y - y));
+    const step = file.steps.reduce((best, other) => (away(other) < away(best) ? other : best));
+    if (!(away(step) <= near)) return null;
+    const was = { x: step.x, y: step.y, moved: step.moved };
+    return (to, end) => {
+      putAt(step, to ? { x: to[0], y: to[1], moved: true } : was);
+      if (!end) return;
+      if (to) before.push({ step, was });
+      listed();
+    };
+  }
+  function undo() {
+    const last = before.pop();
+    if (!last) return;
+    putAt(last.step, last.was);
+    listed();
+  }
+  $("file-undo").onclick = undo;
+  addEventListener("keydown", (event) => {
+    if (event.key !== "z" || !(event.ctrlKey || event.metaKey) || event.target.closest?.("input")) return;
+    if (!file || $("missions").hidden) return;
+    event.preventDefault();
+    undo();
+  });
+  $("file-form").onsubmit = async (event) => {
+    event.preventDefault();
+    const name = `${$("file-as").value}.yaml`;
+    try {
+      const { words } = await post(`/missions/${encodeURIComponent(name)}`, { file: file.file, moved: moved() });
+      await files();
+      await look(name);
+      put("file-moved", words);
+    } catch (error) {
+      put("file-moved", `Not saved: ${error.message}`);
+    }
+  };
   function clear() {
     file = null;
     $("file-card").hidden = true;
@@ -142,7 +198,12 @@ export function makeMissions(link, view, free) {
   }
   $("file-clear").onclick = clear;
   $("file-run").onclick = async () => {
-    const answer = await tell({ what: "run", file: file.file, step: Number($("file-from").value) });
+    const answer = await tell({
+      what: "run",
+      file: file.file,
+      step: Number($("file-from").value),
+      moved: moved(),
+    });
     if (!answer.ok) return;
     clear();
     view.chase();
@@ -153,7 +214,7 @@ export function makeMissions(link, view, free) {
   function lock() {
     const locked = link.fresh === "stale" || !free.operating(),
       { phase } = link.newest.mission ?? {};
-    for (const made of document.querySelectorAll("#choices button, #file-run")) made.disabled = locked;
+    for (const made of document.querySelectorAll("#choices button, #file-run, #file-form [type=submit]")) made.disabled = locked;
     for (const made of document.querySelectorAll("[data-mission]"))
       made.disabled =
         (locked && made.dataset.mission !== "pause") ||
@@ -164,6 +225,7 @@ export function makeMissions(link, view, free) {
   link.on("mission", show);
   link.on("mission_order", show);
   return {
+    grab,
     lock,
     show: () => {
       show();

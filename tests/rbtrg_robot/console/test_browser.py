@@ -17,16 +17,18 @@ import yaml
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, Page
 
+from hal.camera import CameraFrame
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
+from rbtrg_robot.hosts.camera import image_msg
 from rbtrg_robot.log.read import CONFIG
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until
-from tools.bench.console.stack import PACE, Console, Robot, ground, report
+from tools.bench.console.stack import PACE, Console, Robot, grey, ground, report
 
 JOB = 90.0
 """[s] for a process of low priority that imports the stages, or for what compiles kernels."""
@@ -276,6 +278,9 @@ def test_every_view_is_whole_and_can_be_read_and_reached(
         if view == "logs":
             page.locator("#runs button", has_text="Look").first.click()
             page.wait_for_selector("#run-card:not([hidden])")
+            page.click("#photos summary")
+            until(page, "document.querySelector('#photo-list img')?.naturalWidth === 320")
+            assert page.locator("#photo-list li").count() == 2
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.evaluate(CUT) == [], view
         assert page.evaluate(ON_TOP, "#halt"), view
@@ -656,6 +661,54 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     assert page.is_hidden("#mission-acts")
 
 
+def test_steps_of_a_mission_are_moved_by_hand_and_saved(
+    visit: Callable[..., Page], robot: Robot, console: Console
+) -> None:
+    folder = Path(console.config.log_dir).parent / "missions"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "moves.yaml").write_text(
+        "steps: [{goto: {x: 1, y: 0.4, yaw_deg: 90}}, stand, {goto: {x: 2, y: -0.5}}]"
+    )
+    page = visit()
+    page.click("nav [data-view=missions]")
+    page.locator("#mission-files tr", has_text="moves.yaml").locator("button").click()
+    page.wait_for_selector("#file-card:not([hidden])")
+    assert page.inner_text("#file-facts").startswith("without an operator in contact it does what")
+    assert page.is_hidden("#file-form")
+
+    def drag(start: tuple[float, float], end: tuple[float, float]) -> None:
+        page.mouse.move(*on_screen(page, *start))
+        page.mouse.down()
+        page.mouse.move(*on_screen(page, *end), steps=4)
+        page.mouse.up()
+
+    drag((1.0, 0.4), (1.4, 0.9))
+    drag((2.0, -0.5), (2.3, 0.2))
+    assert page.inner_text("#file-moved").startswith("2 moved")
+    assert not page.evaluate("consoleView.world.goal"), "a step is moved, and no goal is meant"
+    page.keyboard.press("Control+z")
+    assert page.inner_text("#file-moved").startswith("1 moved")
+    assert page.evaluate("consoleView.world.mission.steps[2].x") == 2.0
+    page.fill("#file-as", "moves")
+    page.click("#file-form [type=submit]")
+    until(
+        page,
+        "document.querySelector('#file-moved').textContent === 'Not saved: moves.yaml exists; choose another name'",
+    )
+    page.click("#file-run")
+    soon(page, lambda: bool(robot.goals))
+    assert (robot.goals[0].x, robot.goals[0].y) == pytest.approx((1.4, 0.9), abs=0.1)
+    assert robot.goals[0].yaw == pytest.approx(math.pi / 2)
+    page.locator("#mission-files tr", has_text="moves.yaml").locator("button").click()
+    page.wait_for_selector("#file-card:not([hidden])")
+    drag((2.0, -0.5), (2.4, -0.6))
+    page.click("#file-form [type=submit]")
+    until(page, "document.querySelector('#file-moved').textContent.startsWith('saved as ')")
+    saved = yaml.safe_load((folder / "moves-moved.yaml").read_text())["steps"]
+    assert saved[0] == {"goto": {"x": 1.0, "y": 0.4, "yaw_deg": 90.0}}
+    assert (saved[2]["goto"]["x"], saved[2]["goto"]["y"]) == pytest.approx((2.4, -0.6), abs=0.1)
+
+
 def test_a_page_that_nobody_looks_at_is_no_contact(visit: Callable[..., Page], robot: Robot) -> None:
     page = visit()
     soon(page, lambda: robot.present > 1)
@@ -726,9 +779,11 @@ def test_places_that_are_drawn_are_driven_and_an_area_is_saved_and_explored(
     until(page, "consoleView.world.fence.length === 1")
     page.click("#fence-undo")
     until(page, "consoleView.world.fence.at(-1).name === 'ramp'")
-    page.click("#area-list button")
-    page.click("#draw-explore")
-    until(page, "consoleView.world.mission?.steps[0].step === 'explore'")
+    for step in ("explore", "cover"):
+        page.click("#area-list button")
+        page.click(f"#draw-{step}")
+        until(page, f"consoleView.world.mission?.steps[0].step === '{step}'")
+        robot.reset()  # the next mission is not refused for this one
 
 
 # --- maps ---------------------------------------------------------------------------------------------------
@@ -786,7 +841,9 @@ def test_a_map_is_saved_and_loaded_and_the_robot_is_told_where_it_stands(
 def write_run(folder: Path) -> None:
     """Ten seconds of a robot that stands elsewhere, stopped."""
     folder.mkdir(parents=True)
-    config = load(None, [], scene="flat").to_yaml()
+    stack = load(None, [], scene="flat")
+    config, camera = stack.to_yaml(), stack.camera.mounted()
+    assert camera is not None
     (folder / "config.yaml").write_text(config)
     still = (0.0, 0.0, 0.0, 1.0)
     frames = msg.TFMessage(transforms=[transform_msg(1, "map", "odom", np.zeros(3), still)])
@@ -802,6 +859,8 @@ def write_run(folder: Path) -> None:
                 said += [(t.TF_STATIC, frames), (t.MAP_STATUS, msg.MapStatus(epoch=1))]
             if k % 10 == 1:
                 said.append((t.MAP_UPDATE, patch_msg(ground())))
+            if k % 50 == 7:
+                said.append((t.PHOTO, image_msg(camera, CameraFrame(now, grey()))))
             for topic, message in said:
                 log.write(topic, encode(message), now, now, k + 1)
 

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hal.camera import CameraError, CameraFrame
@@ -127,7 +128,7 @@ def state(**fields: Any) -> msg.RobotState:
     return msg.RobotState(phase="ready", **fields)
 
 
-def test_stops_falls_and_refusals_are_moments_once() -> None:
+def test_stops_falls_touches_and_refusals_are_moments_once() -> None:
     moments = Moments()
     assert not moments.begins(t.ROBOT_STATE, state())
     assert moments.begins(t.ROBOT_STATE, state(estop=True))
@@ -138,6 +139,13 @@ def test_stops_falls_and_refusals_are_moments_once() -> None:
     assert not moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="a", state="rejected"))
     assert moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="b", state="aborted"))
     assert not moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="c", state="reached"))
+    assert moments.begins(t.TOUCHED, msg.PoseStamped())
+    refused = {"refused_reason": ["too old", "stopped until resume"]}
+    assert moments.begins(t.ROBOT_STATE, state(**refused, refused_count=np.array([1, 0], np.uint32)))
+    assert not moments.begins(t.ROBOT_STATE, state(**refused, refused_count=np.array([1, 7], np.uint32)))
+    assert not Moments().begins(t.ROBOT_STATE, state(**refused, refused_count=np.array([9, 0], np.uint32))), (
+        "what was refused before this process began"
+    )
 
 
 def test_what_is_thinned_is_whole_around_a_moment() -> None:

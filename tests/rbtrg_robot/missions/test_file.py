@@ -93,6 +93,25 @@ def test_a_wrong_file_is_one_line_that_names_the_place(tmp_path: Path, text: str
     assert "\n" not in str(error.value)
 
 
+def test_places_are_moved_by_the_numbers_of_their_steps() -> None:
+    steps = [
+        "stand",
+        {"loop": {"times": 2, "steps": [{"goto": {"x": 1, "y": 2, "yaw_deg": 3}}, {"wait": 1}]}},
+    ]
+    mission = parse({"steps": [*steps, {"goto": {"x": 4, "y": 5}, "on_failure": "skip"}]}, "it")
+    moved = mission.moved({2: (7.0, 8.0), 4: (9.0, -1.0)}).order("a")
+    assert [(s.kind, s.x, s.y) for s in moved.steps if s.kind == "goto"] == [
+        ("goto", 7.0, 8.0),
+        ("goto", 9.0, -1.0),
+    ]
+    assert moved.steps[1].yaw == pytest.approx(math.radians(3.0))
+    assert moved.steps[3].on_failure == "skip"
+    assert mission.moved({}) == mission
+    for wrong in (1, 3, 5):
+        with pytest.raises(MissionError, match=f"step {wrong} is no `goto`"):
+            mission.moved({wrong: (0.0, 0.0)})
+
+
 def test_the_schema_is_one_that_others_can_use() -> None:
     jsonschema = pytest.importorskip("jsonschema")
     schema = MissionFile.model_json_schema()

@@ -1,5 +1,5 @@
-"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages, the stop's round trip, when old is
-called old."""
+"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages and with video, the stop's round trip
+alone and beside video and a replay, when old is called old."""
 
 from __future__ import annotations
 
@@ -22,9 +22,17 @@ import numpy as np
 import psutil
 from websockets.sync.client import connect
 
+from hal.mujoco.view.camera import RenderedCamera
+from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
+from rbtrg_robot.log.read import CONFIG
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process.runfiles import console_address
-from tools.bench.console.stack import Robot
+from rbtrg_robot.wire.convert import MAP, ODOM, odometry_msg, patch_msg, transform_msg
+from rbtrg_robot.wire.messages import encode, header
+from tools.bench.console.stack import Robot, ground
 from tools.bench.report import Report
 
 CPU_PER_PAGE = 5.0
@@ -32,8 +40,15 @@ CPU_PER_PAGE = 5.0
 STOP_LIMIT = 0.3
 """[s] until the robot's answer to a stop is on the page, 99 of 100 times: the robot tells its state ten times a
 second."""
+VIDEO_CPU = 15.0
+"""[% of a core] that video may cost: pictures drawn, and handed to one page. The page's own share is not measured."""
+VIDEO_STOP = 0.15
+"""[s] as STOP_LIMIT, beside video and a replay."""
+FRAMES = 10
+"""Pictures that are drawn for their cost."""
 STALE_LIMIT = 1.0
 """[s]"""
+REPLAYED = "20260101-000000_yard_1"
 NAME = "go2w"
 """Robots of other names have keys of their own, and the made-up one has none."""
 CHILD = "import json, sys; from rbtrg_robot.process.child import run; sys.exit(run(json.loads(sys.stdin.readline())))"
@@ -61,7 +76,7 @@ class Client:
             max_size=None,
         )
         self.bytes = 0
-        self.confirmed = threading.Event()
+        self.confirmed, self.replays = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
         self.send(do="see", cloud=True)
@@ -80,6 +95,13 @@ class Client:
                 and b"confirmed" in frame
             ):
                 self.confirmed.set()
+            if (
+                isinstance(frame, bytes)
+                and frame[0] == 1
+                and b'"kind":"replay"' in frame
+                and b"playing" in frame
+            ):
+                self.replays.set()
 
     def stop(self) -> float:
         """Seconds until the robot's answer is on the page."""
@@ -138,7 +160,9 @@ def run(args: list[str]) -> Report:
         os.environ["XDG_RUNTIME_DIR"] = folder
         robot = Robot(busy=True)
         try:
-            with process(robot, Path(folder) / "logs" / "now") as console:
+            logs = Path(folder) / "logs"
+            _write_run(logs / REPLAYED)
+            with process(robot, logs / "now") as console:
                 _measure(report, robot, console, options.seconds, options.stops)
         finally:
             robot.close()
@@ -152,25 +176,89 @@ def _measure(report: Report, robot: Robot, console: psutil.Process, seconds: flo
         while len(clients) < count:
             clients.append(Client(console_address(NAME)))
         time.sleep(2.0)  # the whole map comes first
-        before, sent, began = console.cpu_times(), sum(c.bytes for c in clients), time.monotonic()
-        time.sleep(seconds)
-        after, took = console.cpu_times(), time.monotonic() - began
-        used[count] = 100.0 * (after.user + after.system - before.user - before.system) / took
+        sent, began = sum(c.bytes for c in clients), time.monotonic()
+        used[count] = _cpu(console, seconds)
+        took = time.monotonic() - began
         report.add(f"console.cpu.pages_{count}", used[count], "% of a core")
         if count:
             rate = (sum(c.bytes for c in clients) - sent) / took / count / 1000
             report.add(f"console.bytes.pages_{count}", rate, "kB/s a page")
     report.add("console.cpu.a_page", (used[3] - used[0]) / 3, "% of a core", CPU_PER_PAGE)
-    times = []
-    for _ in range(stops):
-        times.append(clients[0].stop())
-        robot.reset()
-        time.sleep(0.12)  # its state is said again
-    report.add("console.stop.p50", statistics.median(times), "s")
-    report.add("console.stop.p99", float(np.percentile(times, 99)), "s", STOP_LIMIT)
+    _stops(report, robot, clients[0], stops, "console.stop", STOP_LIMIT)
+    clients[0].send(do="see", cloud=True, video=True)
+    time.sleep(2.0)
+    video = _cpu(console, seconds) - used[3]
+    drawn = _drawn()
+    report.add("console.video.handed_out", video, "% of a core")
+    report.add("console.video.drawn", drawn, "% of a core")
+    report.add("console.video.cpu", video + drawn, "% of a core", VIDEO_CPU)
+    clients[1].send(do="replay", run=REPLAYED, rate=1, start="0")
+    if not clients[1].replays.wait(60.0):
+        raise RuntimeError("the replay did not begin")
+    _stops(report, robot, clients[0], stops, "console.stop.beside_video_and_replay", VIDEO_STOP)
     for client in clients:
         client.close()
     report.add("console.stale_shown", _stale(robot), "s", STALE_LIMIT)
+
+
+def _stops(report: Report, robot: Robot, client: Client, count: int, key: str, limit: float) -> None:
+    """Rows `key`.p50 and .p99."""
+    times = []
+    for _ in range(count):
+        times.append(client.stop())
+        robot.reset()
+        robot.filmed = 1  # pictures go on
+        time.sleep(0.12)  # its state is said again
+    report.add(f"{key}.p50", statistics.median(times), "s")
+    report.add(f"{key}.p99", float(np.percentile(times, 99)), "s", limit)
+
+
+def _cpu(console: psutil.Process, seconds: float) -> float:
+    """[% of a core] of the console's process over so long."""
+    before, began = console.cpu_times(), time.monotonic()
+    time.sleep(seconds)
+    after, took = console.cpu_times(), time.monotonic() - began
+    return 100.0 * (after.user + after.system - before.user - before.system) / took
+
+
+def _drawn() -> float:
+    """[% of a core] that the simulated camera takes at its rate."""
+    config = load(None, [], robot=NAME, scene="yard")
+    camera = config.camera.mounted()
+    assert camera is not None
+    source = RenderedCamera(camera, config.load_scene())
+    source.open()
+    try:
+        for k in range(FRAMES + 1):
+            if k == 1:  # the first one loads what it needs
+                began = time.process_time()
+            source.follow(k + 1, np.array([-4.5 + 0.1 * k, -4.5, 0.4]), np.array([0.0, 0.0, 0.0, 1.0]))
+            source.frame(k + 1)
+        return 100.0 * camera.rate * (time.process_time() - began) / FRAMES
+    finally:
+        source.close()
+
+
+def _write_run(folder: Path) -> None:
+    """Ten minutes of a robot that stands, with its map once a second."""
+    folder.mkdir(parents=True)
+    config = load(None, [], robot=NAME, scene="yard").to_yaml()
+    (folder / "config.yaml").write_text(config)
+    still = (0.0, 0.0, 0.0, 1.0)
+    frames = msg.TFMessage(transforms=[transform_msg(1, MAP, ODOM, np.zeros(3), still)])
+    patch = encode(patch_msg(ground()))
+    with LogWriter(folder / "log_0.mcap", {}, {CONFIG: config.encode()}) as log:
+        log.write(t.TF_STATIC, encode(frames), 1, 1, 1)
+        for k in range(6000):
+            now = (k + 1) * NS // 10
+            said: list[tuple[t.Topic, bytes]] = [
+                (t.CLOCK, encode(msg.Clock(clock=header(now, "").stamp))),
+                (t.ODOM, encode(odometry_msg(now, (3.3, 0.4, 0.45), still, (0.0,) * 3, np.zeros(3)))),
+            ]
+            if k % 10 == 0:
+                said.append((t.MAP_UPDATE, patch))
+            for topic, payload in said:
+                log.write(topic, payload, now, now, k + 1)
 
 
 def _stale(robot: Robot) -> float:

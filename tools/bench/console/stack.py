@@ -76,7 +76,7 @@ class Robot:
     """Everything but the console, in one thread. It drives straight to its goal."""
 
     def __init__(self, *, busy: bool = False) -> None:
-        """`busy`: points with every state, and the map again twice a second."""
+        """`busy`: points with every state, the map again twice a second, and five pictures once somebody asked."""
         self._busy = busy
         self.said = 0.0
         """Wall clock [s] of its last word."""
@@ -233,7 +233,7 @@ class Robot:
             self._answer(message)
         elif topic is t.PHOTO_REQUEST:
             self.photos += 1
-            frame = CameraFrame(time.time_ns(), _grey())
+            frame = CameraFrame(time.time_ns(), grey())
             self.bus.publish(t.PHOTO, image_msg(self._camera, frame), frame.stamp)
         elif topic is t.CAMERA_REQUEST:
             self.filmed += 1
@@ -261,8 +261,8 @@ class Robot:
             self.bus.publish(t.CLOUD, cloud_msg(stamp, "base_link", POINTS), stamp)
         if self._busy and self._turns % 5 == 0:
             self.bus.publish(t.MAP_UPDATE, patch_msg(ground()), stamp)
-        if self.filmed and self._turns % 4 == 0:
-            self.bus.publish(t.CAMERA, image_msg(self._camera, CameraFrame(stamp, _grey())), stamp)
+        if self.filmed and self._turns % (2 if self._busy else 4) == 0:
+            self.bus.publish(t.CAMERA, image_msg(self._camera, CameraFrame(stamp, grey())), stamp)
         self.said = time.time()
         state = msg.RobotState(
             header=header(stamp, "base_link"),
@@ -314,8 +314,8 @@ class Robot:
 
 
 @cache
-def _grey() -> bytes:
-    """A grey picture of the camera's size."""
+def grey() -> bytes:
+    """JPEG of a grey picture of the camera's size."""
     camera, out = CameraConfig(), io.BytesIO()
     Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(out, "JPEG")
     return out.getvalue()

@@ -19,7 +19,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
-from rbtrg_robot.missions.file import parse
+from rbtrg_robot.missions.file import outing
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode
 from tools.bench.closed_loop.trial import attitude
@@ -48,12 +48,8 @@ class Explored:
             self.state = decode(payload, msg.MissionState)
 
     def start(self, ground: dict[str, Any]) -> None:
-        """Explore, then home."""
-        steps = [
-            {"explore": ground, "on_failure": "skip"},
-            {"home": {"accept_risk": True}, "on_failure": "retry 3"},
-        ]
-        order = parse({"name": "explore", "steps": steps}, "explore").order("explore")
+        """What `rbtrg-robot explore` does unless it is told otherwise."""
+        order = outing("explore", ground, back=True, accept=False).order("explore")
         self.stack.host.inject(t.MISSION_REQUEST, msg.MissionRequest(id="1", action="run", order=order))
 
     @property

@@ -110,9 +110,10 @@ export function multiply(a, b) {
   return out;
 }
 
-// One finger or the left button: a goal (tap) with a heading (press and drag), or the view where `moving()`.
+// One finger or the left button: a goal (tap) with a heading (press and drag), or the view where `moving()`. What `grab(at)` gives for
+// the ground that is pressed goes with the finger: it is called with each place, and with whether it is let go there.
 // Two fingers, the right button or shift: orbit, pan, pinch. Wheel: nearer, farther.
-export function steer(element, camera, { moving, changed, moved, place, aim, pick }) {
+export function steer(element, camera, { moving, changed, moved, place, aim, grab, pick }) {
   const down = new Map();
   let start = null,
     gesture = null,
@@ -127,15 +128,19 @@ export function steer(element, camera, { moving, changed, moved, place, aim, pic
     if (!down.size) corner = element.getBoundingClientRect();
     down.set(event.pointerId, spot(event));
     if (down.size === 2) {
+      start?.held?.(null, true);
       start = null;
       aim(null);
       gesture = spread();
       return;
     }
+    const ground = place(...spot(event)),
+      orbit = event.button === 2 || event.button === 1 || event.shiftKey || moving();
     start = {
       at: spot(event),
-      ground: place(...spot(event)),
-      orbit: event.button === 2 || event.button === 1 || event.shiftKey || moving(),
+      ground,
+      orbit,
+      held: (!orbit && ground && grab(ground)) || null,
       pan: event.shiftKey || event.button === 1,
       far: false,
     };
@@ -161,20 +166,23 @@ export function steer(element, camera, { moving, changed, moved, place, aim, pic
       else turn(-(now[0] - before[0]) * 0.006, (now[1] - before[1]) * 0.006);
     } else if (start.ground) {
       const to = place(...now);
-      if (to) aim(start.ground, heading(start.ground, to));
+      if (to && start.held) start.held(to, false);
+      else if (to) aim(start.ground, heading(start.ground, to));
     }
   });
   const up = (event) => {
     if (!down.delete(event.pointerId)) return;
     gesture = null;
     if (!start || event.type === "pointercancel") {
+      start?.held?.(null, true);
       start = null;
       return aim(null);
     }
-    const { ground, orbit, far } = start,
+    const { ground, orbit, far, held } = start,
       to = far ? place(...spot(event)) : null;
     start = null;
     aim(null);
+    if (held) return held(to, true);
     if (!orbit && ground)
       pick(ground, to && Math.hypot(to[0] - ground[0], to[1] - ground[1]) > 0.05 ? heading(ground, to) : null);
   };

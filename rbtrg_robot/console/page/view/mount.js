@@ -77,6 +77,7 @@ export function mount(element, options) {
         world.aim = at ? { x: at[0], y: at[1], yaw } : null;
         show();
       },
+      grab: (at) => options.grab?.(...at),
       pick: (at, yaw) => options.pick(at[0], at[1], yaw),
     });
     canvas.addEventListener("keydown", (event) => {

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from hal.safety.gate_types import RefusalReason
 from rbtrg_robot import topics as t
 from rbtrg_robot.topics import Topic
 
@@ -21,6 +20,8 @@ class Moments:
 
     def __init__(self) -> None:
         self._wrong: dict[Topic, tuple[Any, ...]] = {}
+        self._refused: int | None = None
+        """Commands that were refused since the start, as the newest state told; None where it told of a latch."""
 
     def begins(self, topic: Topic, message: Any) -> bool:
         """Whether something has just gone wrong: a stop, a fault, a touch, a command that was refused, a goal that ended
@@ -28,19 +29,12 @@ class Moments:
         if t.TOUCHED.carried(message, topic):
             return True
         if t.ROBOT_STATE.carried(message, topic):
-            refused = zip(message.refused_reason, message.refused_count.tolist(), strict=True)
-            count = sum(
-                n for reason, n in refused if reason != RefusalReason.LATCHED
-            )  # a stop refuses all the time
-            now: tuple[Any, ...] = (
-                message.estop,
-                message.phase == "fault",
-                message.hold.startswith("guard"),
-                count,
-            )
-            worse = any(
-                b > a for a, b in zip(self._wrong.get(topic, (False, False, False, count)), now, strict=True)
-            )
+            now: tuple[Any, ...] = (message.estop, message.phase == "fault", message.hold.startswith("guard"))
+            worse = any(b and not a for a, b in zip(self._wrong.get(topic, (False,) * 3), now, strict=True))
+            # While something is to be released, commands are refused all the time.
+            count = None if message.latch else int(message.refused_count.sum())
+            worse |= count is not None and self._refused is not None and count > self._refused
+            self._refused = count
         elif t.GOAL_STATUS.carried(message, topic):
             failed = message.state in FAILED
             now = (message.id, failed)

@@ -140,11 +140,14 @@ def test_stops_falls_touches_and_refusals_are_moments_once() -> None:
     assert moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="b", state="aborted"))
     assert not moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="c", state="reached"))
     assert moments.begins(t.TOUCHED, msg.PoseStamped())
-    refused = {"refused_reason": ["too old", "stopped until resume"]}
-    assert moments.begins(t.ROBOT_STATE, state(**refused, refused_count=np.array([1, 0], np.uint32)))
-    assert not moments.begins(t.ROBOT_STATE, state(**refused, refused_count=np.array([1, 7], np.uint32)))
-    assert not Moments().begins(t.ROBOT_STATE, state(**refused, refused_count=np.array([9, 0], np.uint32))), (
-        "what was refused before this process began"
+    moments = Moments()
+    refused = [(9, 0), (9, 0), (10, 0), (11, 5), (12, 5), (13, 0), (13, 0), (14, 0)]
+    begun = [
+        moments.begins(t.ROBOT_STATE, state(latch=latch, refused_count=np.array([count], np.uint32)))
+        for count, latch in refused
+    ]
+    assert begun == [False, False, True, False, False, False, False, True], (
+        "not before this process, nor while latched"
     )
 
 

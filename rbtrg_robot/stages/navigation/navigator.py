@@ -108,6 +108,8 @@ class NavigatorStage:
         self._slide = Slide()
         self._trouble = ""
         """Why the robot stood last."""
+        self._refused = Reason.NONE
+        """Why the newest answer of the planner holds no way."""
         self._missing_since = 0
         self._status_due = 0
         self._out: Outputs = []
@@ -176,7 +178,7 @@ class NavigatorStage:
         self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
         self._plan = None
         self._query.drop()
-        self._missing_since, self._trouble = 0, ""
+        self._missing_since, self._trouble, self._refused = 0, "", Reason.NONE
         heard = self._inputs
         trouble = stray or unlocated(heard.map) or goal.misplaced(self._area) or hindrance(heard.robot)
         if trouble is not None:
@@ -208,6 +210,7 @@ class NavigatorStage:
         goal.p_fail, goal.worst = message.p_fail, message.worst
         if math.isnan(goal.first[0]):
             goal.first = message.p_fail, message.worst
+        self._refused = Reason.NONE if message.ok else Reason.of(message.reason) or Reason.NO_ROUTE
         if message.ok:
             self._behaviours.found()
             self._budget.plan(message.length)
@@ -219,7 +222,7 @@ class NavigatorStage:
             goal.detail = CREEPING if message.creep else over_unseen(message)
             self._out.append((t.PATH_COMMAND, self._order.route(self._now, message, self._creep)))
             return self._status()
-        reason = Reason.of(message.reason) or Reason.NO_ROUTE
+        reason = self._refused
         hopeless = reason is Reason.INVALID or (reason is Reason.TOO_RISKY and not goal.begun)
         action = Action.GIVE_UP if hopeless else self._behaviours.next(Trigger.NO_ROUTE, self._pose)
         if action is Action.LOOK_DOWN:
@@ -278,7 +281,8 @@ class NavigatorStage:
                 return self._reach()
             if spent := self._budget.spent(now, self._pose):
                 last = f", last: {self._trouble}" if self._trouble else ""
-                return self._end(GoalState.ABORTED, Reason.STUCK, spent + last + goal.place(self._pose))
+                reason = self._refused or Reason.STUCK
+                return self._end(GoalState.ABORTED, reason, spent + last + goal.place(self._pose))
         if self._behaviours.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
             return self._keep_off(goal, self._behaviours.edge(self._pose), 1.0)
         if self._query.open:

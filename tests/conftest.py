@@ -1,7 +1,7 @@
 """The order of the test files: workers take whole files, and a long one that begins last keeps the others waiting.
 
-Tests of processes wait for them a part of their time, so files that wait and files that compute take turns. A third
-worker on two cores made pages in the browser too slow for their tests.
+Tests of processes wait for them a part of their time, so files that wait and files that compute take turns. With a
+third worker on two cores, beside another program, three tests in the browser failed.
 """
 
 from __future__ import annotations

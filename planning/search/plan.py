@@ -26,7 +26,7 @@ from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
 from planning.search.straight import all_turns, free_at, straighten
-from planning.search.to_go import fields_of, way_to_go
+from planning.search.to_go import fields_of, open_ground, way_to_go
 
 __all__ = [
     "SETS",
@@ -205,9 +205,11 @@ def _to_frontier(
     nodes = graph.nodes[:, :2]
     ends = frontiers(graph, at.start, request)
     # Where known ground alone lies between all of them and what hides the goal, they show nothing of the way there.
-    if not np.isfinite(way_to_go(at.table.grid, nodes, goal, nodes)[ends]).any():
+    ground = open_ground(at.table.grid, goal)
+    if not np.isfinite(way_to_go(at.table.grid, nodes, goal, nodes, ground=ground)[ends]).any():
         return None
-    way, price = way_to_go(at.table.grid, nodes, goal, fields=fields_of(graph)), unseen_price(at.table.body)
+    price = unseen_price(at.table.body)
+    way = way_to_go(at.table.grid, nodes, goal, fields=fields_of(graph), ground=ground)
     ends &= np.isfinite(way)
     way = np.where(ends, way, 0.0)
     left = price * with_hysteresis(nodes, way, goal, request.previous_frontier)

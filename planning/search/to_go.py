@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import heapq
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from hal.raster import cells_of
 from mapping.grid import ElevationGrid
 from planning.graph.closing import closed
 from planning.graph.fields import SPREAD
@@ -30,25 +32,24 @@ LEAVES_WITHIN = 0.8
 """[m] from a frontier node to ground that nobody saw, at most: half a body and a ring (`planning.graph.describe`)."""
 
 
-def way_to_go(
-    grid: ElevationGrid,
-    points: NDArray[np.float64],
-    goal: tuple[float, float],
-    reached: NDArray[np.float64] | None = None,
-    fields: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
-    """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open,
-    infinite where there is none. Ground off the map is open.
+class OpenGround(NamedTuple):
+    """Raster of what known obstacles leave open, and where the goal lies on it; one cell of free ground around the
+    map, because who leaves it may go around everything."""
 
-    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that
-    was not seen, where these are less than `SPREAD` apart: most likely they go on there. What lies on one side of them
-    alone may be the way around.
+    origin: tuple[float, float]
+    """x, y [m] of cell [0, 0]."""
+    blocked: NDArray[np.bool_]
+    """(rows, cols)"""
+    goal: NDArray[np.float64]
+    """(rows, cols) straight way to the goal [m] from the cells at it, or from those around a map that it is not on;
+    infinite elsewhere."""
+    rim: NDArray[np.bool_]
+    """(rows, cols) off the map."""
 
-    `reached`: (k, >= 2) places that the robot can come to, such as the nodes of its graph. The way then does not lead
-    back over the ground around them: where it would leave it again, another place is nearer.
-    """
+
+def open_ground(grid: ElevationGrid, goal: tuple[float, float]) -> OpenGround:
+    """For ways to the goal x, y [m]."""
     x0, y0, x1, y1 = grid.extent
-    # one cell of free ground around the map: who leaves it may go around everything
     ox, oy = x0 - CELL, y0 - CELL
     shape = (math.ceil((y1 - oy) / CELL) + 2, math.ceil((x1 - ox) / CELL) + 2)
     blocked = np.zeros(shape, np.bool_)
@@ -60,27 +61,52 @@ def way_to_go(
     inside = x0 <= goal[0] <= x1 and y0 <= goal[1] <= y1
     # the goal may stand close to something
     seeds = straight <= 1.5 * CELL if inside else rim
-    known = np.zeros(shape, np.bool_)
+    return OpenGround((ox, oy), blocked & ~seeds, np.where(seeds, straight, np.inf), rim)
+
+
+def way_to_go(
+    grid: ElevationGrid,
+    points: NDArray[np.float64],
+    goal: tuple[float, float],
+    reached: NDArray[np.float64] | None = None,
+    fields: NDArray[np.bool_] | None = None,
+    ground: OpenGround | None = None,
+) -> NDArray[np.float64]:
+    """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open,
+    infinite where there is none. Ground off the map is open.
+
+    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that
+    was not seen, where these are less than `SPREAD` apart: most likely they go on there. What lies on one side of them
+    alone may be the way around.
+
+    `reached`: (k, >= 2) places that the robot can come to, such as the nodes of its graph. The way then does not lead
+    back over the ground around them: where it would leave it again, another place is nearer. `ground`: `open_ground`
+    of this grid and goal, where it is at hand.
+    """
+    origin, blocked, begin, rim = ground or open_ground(grid, goal)
+    known = np.zeros(blocked.shape, np.bool_)
     if reached is not None:
-        row, col = _cells_of(reached, (ox, oy), shape)
-        known[row, col] = True
+        known[_cells_of(reached, origin, blocked.shape)] = True
         known = ndimage.binary_dilation(known, np.ones((3, 3)), round(AROUND_NODE / CELL))
-    dear = np.ones(shape)
+    dear = np.ones(blocked.shape)
     if fields is not None and fields.any():
         span = round(SPREAD / grid.resolution)
         whole = closed(np.pad(fields, span).astype(np.float32), span)[span:-span, span:-span] > 0.0
         fields = fields | (whole & ~grid.trusted)
         # the raster's cells whose middle lies in a field
-        rows = np.floor((y[:, 0] + oy - y0) / grid.resolution + 0.5).astype(np.int64)
-        cols = np.floor((x[0] + ox - x0) / grid.resolution + 0.5).astype(np.int64)
+        rows, cols = (
+            cells_of(
+                np.arange(float(blocked.shape[k])) * CELL + origin[1 - k], grid.extent[1 - k], grid.resolution
+            )
+            for k in (0, 1)
+        )
         on = np.outer((rows >= 0) & (rows < fields.shape[0]), (cols >= 0) & (cols < fields.shape[1]))
         dear[on & fields.take(rows, 0, mode="clip").take(cols, 1, mode="clip")] = IN_FIELD
-    way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim, known, dear)
+    way = _flood(blocked, begin.copy(), rim, known, dear)
     # a node may stand nearer to an obstacle than KEEP_OFF: the best of the cells around it
     near = ndimage.minimum_filter(way, 3, mode="constant", cval=np.inf)
-    row, col = _cells_of(points, (ox, oy), shape)
     line = np.hypot(points[:, 0] - goal[0], points[:, 1] - goal[1])
-    return np.asarray(np.maximum(near[row, col], line))
+    return np.asarray(np.maximum(near[_cells_of(points, origin, blocked.shape)], line))
 
 
 def fields_of(graph: TraversalGraph) -> NDArray[np.bool_] | None:
@@ -92,7 +118,7 @@ def _cells_of(
     points: NDArray[np.float64], origin: tuple[float, float], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Row and column of points (n, >= 2) [m] on the raster, clipped."""
-    col, row = (np.floor((points[:, k] - origin[k]) / CELL + 0.5).astype(np.int64) for k in (0, 1))
+    col, row = (cells_of(points[:, k], origin[k], CELL) for k in (0, 1))
     return np.clip(row, 1, shape[0] - 2), np.clip(col, 1, shape[1] - 2)
 
 

@@ -109,15 +109,12 @@ class Behaviours:
         self.crept = False
         """Ways onto ground that nobody saw were asked for."""
 
-    def next(
-        self, trigger: Trigger, pose: Pose2 | None, *, way: float = 0.0, room_ahead: bool = False
-    ) -> Action:
-        """What to do at `pose`, which is noted as tried.
+    def next(self, trigger: Trigger, here: Pose2, *, way: float = 0.0, room_ahead: bool = False) -> Action:
+        """What to do at the pose `here`, which is noted as tried.
 
         `way`: 1.0 while the robot was driven forward, -1.0 backward; what holds it lies there, and routes keep off it.
         `room_ahead`: the guard lets it forward.
         """
-        here = (math.inf, math.inf, 0.0) if pose is None else pose
         there = {
             Need.NOTHING: True,
             Need.TILT: self._tilts,

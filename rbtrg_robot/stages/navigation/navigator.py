@@ -224,6 +224,7 @@ class NavigatorStage:
             return self._status()
         reason = self._refused
         hopeless = reason is Reason.INVALID or (reason is Reason.TOO_RISKY and not goal.begun)
+        assert self._pose is not None, "no route is asked for without one"
         action = Action.GIVE_UP if hopeless else self._behaviours.next(Trigger.NO_ROUTE, self._pose)
         if action is Action.LOOK_DOWN:
             self._look(goal)

@@ -23,7 +23,9 @@ class TrackerConfig(BaseModel):
         pattern=PATTERN,
         description="line_of_sight: the project's; an installed controller (entry point of rbtrg.trackers) or package.module:function (docs/extend.md)",
     )
-    max_speed: float = Field(default=0.8, gt=0, description="[m/s] of the base, whatever the path allows")
+    max_speed: float = Field(
+        default=0.8, gt=0, description="largest speed of base_link, even if the path allows more [m/s]"
+    )
     min_speed: float = Field(default=0.12, gt=0, description="[m/s] slowest speed the drive follows reliably")
     step_speed: float = Field(
         default=0.0,

@@ -640,6 +640,7 @@ class MotionLimits(Message):
     reason: str = ""
     uneven_ahead: float = 0.0
     uneven_behind: float = 0.0
+    near_body: bool = False
 
 
 @dataclass(slots=True, eq=False)

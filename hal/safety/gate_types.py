@@ -133,6 +133,8 @@ class MotionLimits:
     uneven_ahead: float = 0.0
     uneven_behind: float = 0.0
     """[m] how far the map's ground lies off the plane that the robot stands on; see `hal.safety.touch`."""
+    near_body: bool = False
+    """The map's ground comes up to the trunk or to a shank: it may be what pushes at them."""
 
     def least(self, other: MotionLimits) -> MotionLimits:
         """What both allow, as old as the older one."""
@@ -145,6 +147,7 @@ class MotionLimits:
             self.reason or other.reason,
             min(self.uneven_ahead, other.uneven_ahead),
             min(self.uneven_behind, other.uneven_behind),
+            self.near_body and other.near_body,
         )
 
 

@@ -1,9 +1,12 @@
 """What the robot touches and no sensor foretold, felt from joints and IMU: something holds the body, or one wheel.
 
 Newton's law does the work: what the wheels get from the ground, by the leg torques, is all that moves the robot. What
-the accelerometer tells beyond that pushes at the body. A slope is in both. A wheel that leads is held where it alone is
-pushed back, while the others drive. Whether the map explains it is not decided here: `joints` is told how uneven the
-map is at the wheels.
+the accelerometer tells beyond that pushes at the body. A slope is in both. What throws the legs about on a climb pushes
+back and forth, so that little is left of its mean. A wheel that leads is held where it alone is pushed back, while the
+others drive.
+
+The map explains a push at the body where its ground comes up to the trunk or to a shank (`near_body`): a shank that
+hangs on a kerb pulls as hard as a pane of glass pushes. It explains a held wheel where it is `uneven` at the wheels.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hal.limbs import SX, SY, Limbs
+from hal.limbs import SX, SY, Limbs, wheel_centres
+from hal.raster import cell_of
 from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Body, Surroundings
 from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
@@ -36,25 +40,25 @@ then."""
 TURN = 60.0
 """[N s/rad] A turn pushes wheels back as well: what more it takes then."""
 FACE = 0.04
-"""[m] Ground that lies this far off the plane that the robot stands on throws legs about, and is a face to climb."""
+"""[m] Ground that lies this far off the plane that the robot stands on is a face to climb."""
 EDGE = 0.025
 """[m] The map explains a held wheel from here on: an edge of this height takes as much push as a wheel carries (its
 radius is 0.086 m), and the map tells no lower one from its noise."""
-TALL = 0.20
-"""[m] The same of the body, whose belly is higher."""
-ROUGH = 3.0
-"""On uneven ground legs are thrown about: so many times the force tells a touch of the body there."""
-AFTER_FACE = 1.0
-"""[s] after a face was under the body or ahead of it, legs are thrown about: the rear wheels come onto it when the map
-under the body is even again."""
-BODY_TIME, CLIMB_TIME, WHEEL_TIME = 0.05, 0.25, 0.09
-"""[s] that it lasts: on even ground, on uneven ground, and of a wheel. While the hybrid controller climbs kerbs of 19
-cm that force lasts up to 0.16 s. What stands in the way pushes on. A wheel that jumps over a pebble is held for less.
-"""
+PUSH_TIME = 0.3
+"""[s] Time constant of the mean of what pushes at the body: decision 26."""
+WHEEL_TIME = 0.09
+"""[s] that a wheel is held. One that jumps over a pebble is held for less."""
+NEAR, BELOW = 0.06, 0.04
+"""[m] Ground of the map no farther from a part of the robot on the level, and no more below it, touches it: a cell and
+a half, and the half of a wheel's radius."""
+SHANK = (0.0, 0.25, 0.5, 0.75)
+"""Places on a shank, shares of the way from the knee to the axle; what its end meets, the wheel meets as well."""
+UNDERSIDE = 0.05
+"""[m] of the trunk below base_link."""
 AHEAD = 0.2
 """[m] beyond the end of the body: what lies farther away holds no wheel."""
 BESIDE = 0.05
-"""[m] beside the body: a wall there holds a wheel that scrapes it. It explains no touch of the body."""
+"""[m] beside the body: a wall there holds a wheel that scrapes it."""
 CELLS = 3
 """Cells that must lie off the plane: one may be noise."""
 LONGEST = 0.05
@@ -82,11 +86,10 @@ class TouchWatch:
         self._sum, self._count = np.zeros(3), 0
         self._mass = sprung_mass
         self._stamp = 0
-        self._face = -math.inf
-        """Stamp at which the ground was uneven last [ns]."""
         self._body = 0.0
-        """For how long the body was pushed back [s]; `_wheel`: one of the wheels."""
+        """[N] mean push at the body."""
         self._wheel = np.zeros(4)
+        """[s] for how long each wheel was held."""
 
     def imu(self, sample: ImuSample) -> None:
         """Between joint samples."""
@@ -94,10 +97,18 @@ class TouchWatch:
         self._count += 1
 
     def joints(
-        self, sample: JointSample, vx: float, wz: float, uneven: float, speed: float | None = None
+        self,
+        sample: JointSample,
+        vx: float,
+        wz: float,
+        uneven: float,
+        speed: float | None = None,
+        *,
+        near_body: bool = False,
     ) -> Touch | None:
         """What is touched just now, by a robot that is commanded to drive at `vx` [m/s], `wz` [rad/s] where the map is
-        `uneven` [m] ahead of the wheels and under them. `speed`: measured, forward [m/s]; None: not known."""
+        `uneven` [m] ahead of the wheels and under them, and comes up to its body or not. `speed`: measured, forward
+        [m/s]; None: not known."""
         elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST)
         self._stamp = sample.stamp
         if self._count:
@@ -112,17 +123,9 @@ class TouchWatch:
             return None
         way = math.copysign(1.0, vx)
         back = -way * wheel_pushes(self._limbs, sample.position, sample.effort)
-        held = -way * self._mass * self._accel[0] - back.sum()
-        if uneven > FACE or sample.stamp < self._face:  # the clock was set back
-            self._face = sample.stamp
-        rough = sample.stamp - self._face <= AFTER_FACE * NS
         slow = speed is None or way * speed < SHORT * abs(vx)
-        pushed = (
-            slow
-            and uneven < TALL
-            and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0), high=self._force)
-        )
-        self._body = max(self._body + (elapsed if pushed else -elapsed), 0.0)
+        push = -way * self._mass * self._accel[0] - back.sum() if slow else 0.0
+        self._body = 0.0 if near_body else max(self._body + elapsed / PUSH_TIME * (push - self._body), 0.0)
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]
         alone = (
@@ -132,7 +135,7 @@ class TouchWatch:
         for leg in range(4):
             more = slow and uneven < EDGE and monitors.TOUCHED.outside(float(worst[leg]))
             self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)
-        if self._body >= (CLIMB_TIME if rough else BODY_TIME):
+        if monitors.TOUCHED.outside(self._body, high=self._force):
             return self._tell(Touch(way, 0.0))
         if self._wheel.max() >= WHEEL_TIME:
             leg = int(self._wheel.argmax())
@@ -149,34 +152,55 @@ def uneven(around: Surroundings, pose: tuple[float, float, float], body: Body) -
     plane under the body.
 
     `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because
-    the trunk is level on a slope, too. Where it stands on faces there is none, and what is told is how far the ground
-    lies off the lowest and the highest of them: all stairs under it push at a robot that climbs."""
+    the trunk is level on a slope, too."""
     x, y, yaw = (float(v) for v in pose)
-    front, side, resolution = body.front, body.left, around.resolution
-    reach = math.ceil(math.hypot(front + AHEAD, side + BESIDE) / resolution)
-    row, col = round((y - around.origin[1]) / resolution), round((x - around.origin[0]) / resolution)
-    rows, cols = slice(max(row - reach, 0), row + reach + 1), slice(max(col - reach, 0), col + reach + 1)
-    height = around.height[rows, cols]
-    known = np.isfinite(height) & (around.source[rows, cols] != TOUCHED)
-    r, k = np.nonzero(known)
-    dx, dy = (
-        around.origin[0] + (k + cols.start) * resolution - x,
-        around.origin[1] + (r + rows.start) * resolution - y,
-    )
+    front, side = body.front, body.left
+    dx, dy, ground = _measured(around, x, y, math.hypot(front + AHEAD, side + BESIDE))
     c, s = math.cos(yaw), math.sin(yaw)
     along, across = c * dx + s * dy, c * dy - s * dx
     near = (np.abs(along) <= front + AHEAD) & (np.abs(across) <= side + BESIDE)
-    terms = np.column_stack([np.ones_like(along), along, across])[near]
-    ground = height[r, k][near].astype(float)
-    beside = np.abs(terms[:, 2]) > side
-    under = (np.abs(terms[:, 1]) <= front) & ~beside
+    terms, ground = np.column_stack([np.ones_like(along), along, across])[near], ground[near]
+    under = (np.abs(terms[:, 1]) <= front) & (np.abs(terms[:, 2]) <= side)
     if np.count_nonzero(under) < CELLS:
         return 0.0, 0.0
     plane = np.linalg.lstsq(terms[under], ground[under], rcond=1e-3)[0]
     off = np.abs(ground - terms @ plane)
-    if np.sort(off[under])[-CELLS] > FACE:
-        low, high = np.sort(ground[under])[[CELLS - 1, -CELLS]]
-        off = np.maximum(ground - low, high - ground)
-    off = np.where(beside, np.minimum(off, 0.5 * TALL), off)
     ahead, behind = (np.sort(off[way * terms[:, 1] >= -front]) for way in (1.0, -1.0))
     return float(ahead[-CELLS]), float(behind[-CELLS])
+
+
+def near_body(
+    around: Surroundings,
+    place: tuple[float, float, float],
+    rotation: Array,
+    limbs: Limbs,
+    q: Array,
+    body: Body,
+) -> bool:
+    """Whether ground that was measured comes up to the trunk or to a shank, so that it may be what pushes at them.
+
+    `place`: x, y, z [m] of base_link; `rotation`: (3, 3) from base_link to `map`; `q`: (16,) joint angles [rad]."""
+    # A limb of a shorter calf without a tread ends on the shank.
+    shanks = [wheel_centres(limbs._replace(calf=share * limbs.calf, tread_y=0.0), q) for share in SHANK]
+    along, across = np.linspace(-body.back, body.front, 2 * len(SHANK)), (-limbs.hip_y, limbs.hip_y)
+    trunk = np.array([(x, y, -UNDERSIDE) for x in along for y in across])
+    parts = np.concatenate([*shanks, trunk]) @ rotation.T
+    dx, dy, ground = _measured(
+        around, place[0], place[1], float(np.hypot(parts[:, 0], parts[:, 1]).max()) + NEAR
+    )
+    level = np.hypot(dx - parts[:, :1], dy - parts[:, 1:2]) <= NEAR
+    return bool((level & (ground - place[2] >= parts[:, 2:] - BELOW)).any())
+
+
+def _measured(around: Surroundings, x: float, y: float, reach: float) -> tuple[Array, Array, Array]:
+    """Measured cells about as far as `reach` [m] from x, y [m]: how far each lies off it, and its height [m]."""
+    resolution, cells = around.resolution, math.ceil(reach / around.resolution)
+    row, col = cell_of(y, around.origin[1], resolution), cell_of(x, around.origin[0], resolution)
+    rows, cols = slice(max(row - cells, 0), row + cells + 1), slice(max(col - cells, 0), col + cells + 1)
+    height = around.height[rows, cols]
+    r, k = np.nonzero(np.isfinite(height) & (around.source[rows, cols] != TOUCHED))
+    dx, dy = (
+        around.origin[0] + (k + cols.start) * resolution - x,
+        around.origin[1] + (r + rows.start) * resolution - y,
+    )
+    return dx, dy, height[r, k].astype(float)

@@ -55,7 +55,10 @@ class Feeling:
     ) -> Outputs:
         """`place_of` is asked at a touch: position (3,) [m] and yaw [rad] of base_link in `map`; `speed`: measured,
         forward [m/s]; None where nobody knows it."""
-        touch = self._watch.joints(sample, driven.vx, driven.wz, self._uneven(driven.vx), speed)
+        near = self._limits is None or self._limits.near_body
+        touch = self._watch.joints(
+            sample, driven.vx, driven.wz, self._uneven(driven.vx), speed, near_body=near
+        )
         if touch is None:
             return []
         outputs: Outputs = []

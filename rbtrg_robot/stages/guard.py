@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.limbs import Limbs
 from hal.rotation import rotation
 from hal.safety.contact import contact_at
 from hal.safety.monitors import GUARD_BLIND, HOLE_WIDTH, MAIN_SILENT
@@ -41,7 +42,7 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
-from hal.safety.touch import uneven
+from hal.safety.touch import near_body, uneven
 from hal.types import NS, Array, Capabilities, MountedLidar
 from mapping.filling import fill_unknown
 from rbtrg_robot import msg
@@ -54,6 +55,7 @@ from rbtrg_robot.wire.convert import (
     BASE,
     LayoutError,
     cloud_points,
+    joint_sample,
     map_patch,
     xyz,
     xyzw,
@@ -87,20 +89,25 @@ WORDS = {
 class GuardStage:
     """Map window and sweeps in, the speeds that are safe here out.
 
-    In: the window of the elevation map, the newest sweep, poses, tf_static, the map's status. Out: `/guard/limits`, the
+    In: the window of the elevation map, the newest sweep, poses, joints, tf_static, the map's status. Out: `/guard/limits`, the
     largest speed forward, backward and in each turn, 20 times a second. It decides how far the body may move before it
     meets a face, a drop or something that stands there. It knows no goal and no plan, and it never moves the robot.
     """
 
     outputs = (t.MOTION_LIMITS,)
 
-    def __init__(self, params: GuardConfig, robot: Capabilities, lidars: tuple[MountedLidar, ...]) -> None:
+    def __init__(
+        self, params: GuardConfig, robot: Capabilities, limbs: Limbs, lidars: tuple[MountedLidar, ...]
+    ) -> None:
         """lidars: whose sweeps it hears."""
         self._sweeps = tuple(t.CLOUDS[lidar.name] for lidar in lidars)
-        self.inputs = (t.MAP_WINDOW, *self._sweeps, t.ODOM, t.POSE, t.TF_STATIC, t.MAP_STATUS)
+        self.inputs = (t.MAP_WINDOW, *self._sweeps, t.ODOM, t.POSE, t.JOINTS, t.TF_STATIC, t.MAP_STATUS)
         self._params = params
         self._robot = robot
         self._body = Body.of(robot)
+        self._limbs = limbs
+        self._joints: Array | None = None
+        """(16,) the newest angles [rad]."""
         self._frame = MapFrame()
         self._now = 0
         self._pose: msg.Odometry | None = None
@@ -154,6 +161,7 @@ class GuardStage:
             swept = shells(tracks, self._body, self._body)
             reach_of(swept, step, around, here, stand, self._robot, seen=False, wall=wall)
             leaves_on(whole, step, replace(around, source=np.full_like(free, PLANTS)), here, self._body)
+        near_body(around, here, np.eye(3), self._limbs, np.zeros(16), self._body)
         self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat, flat)
 
     def close(self) -> None:
@@ -173,6 +181,8 @@ class GuardStage:
             self._keep(self._odoms, stamp_of(message), message)
         elif topic in self._sweeps:
             self._cloud(topic, message)
+        elif t.JOINTS.carried(message, topic):
+            self._joints = self._angles(message)
         elif t.MAP_WINDOW.carried(message, topic):
             self._window(message)
         return []
@@ -185,6 +195,13 @@ class GuardStage:
             self._malformed += 1
             return
         self._keep(self._clouds, stamp, {**self._clouds.get(stamp, {}), topic: points})
+
+    def _angles(self, message: msg.JointState) -> Array | None:
+        try:
+            return joint_sample(message).position
+        except LayoutError:
+            self._malformed += 1
+            return self._joints
 
     def _keep(self, kept: OrderedDict[int, Any], stamp: int, what: Any) -> None:
         """With the newest of its kind: a pose may come before the cloud of its scan, or after it."""
@@ -261,10 +278,11 @@ class GuardStage:
         if missing:
             return [(t.MOTION_LIMITS, msg.MotionLimits(header=header(now, BASE), reason=missing))]
         assert self._around is not None
-        here, orientation = self._place()
+        here, height, orientation = self._place()
         slow_by_sight = self._main_silent()
         self._sweep(main=not slow_by_sight)
-        stand = stand_of(self._around, here, rotation(orientation)[:, 2], self._body)
+        turned = rotation(orientation)
+        stand = stand_of(self._around, here, turned[:, 2], self._body)
         reaches = [
             reach_of(whole, step, self._around, here, stand, self._robot, seen=k == 1)
             for k, (_, _, whole, step) in enumerate(self._ways)
@@ -272,7 +290,7 @@ class GuardStage:
         held = any(
             self._speed(r, turning=k > 1) < (TURNING if k > 1 else CREEPING) for k, r in enumerate(reaches)
         )
-        upright = rotation(orientation)[2, 2] >= math.cos(LEANS)
+        upright = turned[2, 2] >= math.cos(LEANS)
         contact = contact_at(self._around, here, stand, self._robot) if held and upright else None
         speeds, words = [], [slow_by_sight] if slow_by_sight else []
         for k, (where, tracks, whole, step) in enumerate(self._ways):
@@ -305,6 +323,7 @@ class GuardStage:
             speeds.append(min(speed, creeping) if slow_by_sight else speed)
             words += [why] if why else []
         ahead, back = uneven(self._around, here, self._body)
+        place = (here[0], here[1], height)
         limits = msg.MotionLimits(
             header=header(now, BASE),
             forward=speeds[0],
@@ -314,6 +333,8 @@ class GuardStage:
             reason="; ".join(words),
             uneven_ahead=ahead,
             uneven_behind=back,
+            near_body=self._joints is not None
+            and near_body(self._around, place, turned, self._limbs, self._joints, self._body),
         )
         return [(t.MOTION_LIMITS, limits)]
 
@@ -350,7 +371,7 @@ class GuardStage:
         assert self._around is not None
         if self._dark:
             return "the map knows no ground around the robot"
-        here, orientation = self._place()
+        here, _, orientation = self._place()
         if not np.isfinite((*here, *orientation)).all() or not self._around.holds(*here[:2]):
             # Beyond the window nothing is known, and ground that nobody saw does not stop a robot that drives forward.
             return f"{t.POSE.name} lies outside of {t.MAP_WINDOW.name}"
@@ -380,16 +401,17 @@ class GuardStage:
         age = self._unseen(t.CLOUD)
         return MAIN_SILENT.tell(age=self._told(age)) if MAIN_SILENT.outside(age) else ""
 
-    def _place(self) -> tuple[Planar, NDArray[np.float64]]:
-        """x, y [m], yaw [rad] of the robot in `map`, and its orientation x, y, z, w."""
+    def _place(self) -> tuple[Planar, float, NDArray[np.float64]]:
+        """x, y [m], yaw [rad] of the robot in `map`, its height [m], and its orientation x, y, z, w."""
         assert self._pose is not None
         pose = self._pose.pose.pose
         here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
-        return here, self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))[1]
+        position, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
+        return here, float(position[2]) + self._correction, orientation
 
 
 def build(config: StackConfig) -> GuardStage:
     """From the stack's configuration."""
     # What the operator forbids to drive over is in the way, whatever the robot could climb.
     robot = replace(config.capabilities(), max_step=config.graph_params().max_step)
-    return GuardStage(config.guard, robot, config.mounted_lidars())
+    return GuardStage(config.guard, robot, config.facts.limbs, config.mounted_lidars())

@@ -174,8 +174,8 @@ class RobotStage:
             self._frame.take(message)
         elif t.MOTION_LIMITS.carried(message, topic):
             limits = (message.forward, message.backward, message.left, message.right)
-            uneven = (message.uneven_ahead, message.uneven_behind)
-            self._limits[sender] = MotionLimits(stamp_of(message), *limits, message.reason, *uneven)
+            ground = (message.uneven_ahead, message.uneven_behind, message.near_body)
+            self._limits[sender] = MotionLimits(stamp_of(message), *limits, message.reason, *ground)
         elif t.AREAS.carried(message, topic):
             self._gate.geofence = self._fence.and_all_of(fence_of(message.areas))
         elif t.ROBOT_COMMAND.carried(message, topic):

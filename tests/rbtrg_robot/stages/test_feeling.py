@@ -24,9 +24,10 @@ class Pressed:
     """A robot that drives at `vx` while something pushes at its body with 100 N [wheels carry nothing that would
     explain it]."""
 
-    def __init__(self, vx: float = 0.4, uneven: float = 0.0) -> None:
+    def __init__(self, vx: float = 0.4, uneven: float = 0.0, *, near_body: bool = False) -> None:
         self.feeling = Feeling(go2w.LIMBS, describe().body)
-        self.feeling.guard(MotionLimits(0, *FREE, uneven_ahead=uneven, uneven_behind=uneven))
+        limits = MotionLimits(0, *FREE, uneven_ahead=uneven, uneven_behind=uneven, near_body=near_body)
+        self.feeling.guard(limits)
         self.vx = vx
         self.now = NS
 
@@ -73,7 +74,7 @@ def test_where_nobody_knows_the_place_it_stands_all_the_same() -> None:
 
 
 def test_what_the_map_tells_is_no_touch_and_may_be_climbed() -> None:
-    wall = Pressed(uneven=0.3)
+    wall = Pressed(uneven=0.3, near_body=True)
     assert not wall.push()
     assert wall.feeling.words(wall.now) == ""
     assert wall.feeling.may_climb(0.3)

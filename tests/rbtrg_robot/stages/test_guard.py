@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.robots import describe
 from hal.safety.monitors import GUARD_BLIND, MAIN_SILENT, taken_out
 from hal.safety.swept import LIDAR, PLANTS
-from hal.types import NS
+from hal.types import NS, JointSample
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages import guard
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import cloud_msg, odometry_msg, patch_msg, rpy_quaternion
+from rbtrg_robot.wire.convert import cloud_msg, joint_msg, odometry_msg, patch_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import decode, encode
 from tests.rbtrg_robot.hearsay import map_offset
 
@@ -153,6 +154,19 @@ def test_at_a_wall_it_creeps_along_and_away_unless_it_leans(side: float) -> None
     into, away = (askew.left, askew.right) if side > 0.0 else (askew.right, askew.left)
     assert into == 0.0
     assert 0.1 < away <= 0.3
+
+
+def test_it_tells_of_ground_that_comes_up_to_a_shank_where_it_knows_the_joints() -> None:
+    around, robot = Around(), describe()
+    around.position = (0.0, 0.0, robot.height)
+
+    def kerb(forward: Any, left: Any) -> Any:
+        return 0.1 * ((np.abs(forward) < 0.4) & (left > 0.0))
+
+    assert not around.tick(kerb).near_body
+    around.hear(t.JOINTS, joint_msg(JointSample(around.now, robot.pose, np.zeros(16), np.zeros(16))))
+    assert around.tick(kerb).near_body
+    assert not around.tick(flat).near_body
 
 
 def test_ground_that_the_map_does_not_trust_is_ground_nobody_saw() -> None:

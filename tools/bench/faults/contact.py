@@ -104,7 +104,7 @@ def _by_goal(what: Callable[[float], Boxes]) -> Callable[[float, int], Outcome]:
 
 FAULTS = (
     Fault("contact.pane", (TOUCHED,), (0.0, 60.0, 15.0, 30.0, 45.0), _by_hand(pane), rest=1.0, says=WORDS),
-    Fault("contact.pane_on_kerb", (TOUCHED,), (0.25, 0.0, 0.5), _by_hand(pane_on_kerb), rest=1.0, says=WORDS),
+    Fault("contact.pane_on_kerb", (TOUCHED,), (0.25, 0.0), _by_hand(pane_on_kerb), rest=1.0, says=WORDS),
     Fault("contact.post", (TOUCHED,), (0.0, 0.2, 0.1), _by_hand(post), rest=1.0, says=WORDS),
     Fault("contact.bar", (TOUCHED,), (0.42, 0.13), _by_hand(bar), rest=1.0, says=WORDS),
     Fault(

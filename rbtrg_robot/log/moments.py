@@ -1,4 +1,5 @@
-"""Moments worth a later look: stops, falls, touches, refusals. Thinly recorded topics are recorded in full around them."""
+"""Moments worth a later look: stops, falls, touches, refusals. Thinly recorded topics are recorded in full around
+them."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ class Moments:
         """Commands that were refused since the start, as the newest state told; None where it told of a latch."""
 
     def begins(self, topic: Topic, message: Any) -> bool:
-        """Whether something has just gone wrong: a stop, a fault, a touch, a command that was refused, a goal that ended
-        without being reached."""
+        """Whether something has just gone wrong: a stop, a fault, a touch, a command that was refused, a goal that
+        ended without being reached."""
         if t.TOUCHED.carried(message, topic):
             return True
         if t.ROBOT_STATE.carried(message, topic):

@@ -44,7 +44,8 @@ def windows(fence: Fence, resolution: float) -> list[tuple[int, int, int, int]]:
 def _box(
     polygon: Geofence, resolution: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[int, int, int, int]:
-    """First row, first column, row and column after the last that its walls may lie in; cell [0, 0] is at `origin` [m]."""
+    """First row, first column, row and column after the last that its walls may lie in; cell [0, 0] is at `origin`
+    [m]."""
     xy = np.array(polygon.corners) - origin
     c0, r0 = np.floor((xy.min(axis=0) - ROOM) / resolution).astype(int) - 1
     c1, r1 = np.ceil((xy.max(axis=0) + ROOM) / resolution).astype(int) + 2

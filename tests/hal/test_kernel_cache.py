@@ -63,7 +63,9 @@ def run(home: Path, script: str, **environment: str) -> list[str]:
 ASK = "from planning.robot import robot; print(robot(4), sum(robot.stats.cache_hits.values()))"
 
 
-@pytest.mark.parametrize("kept_in", ["NUMBA_CACHE_DIR", "beside the sources"])
+@pytest.mark.parametrize(
+    "kept_in", [pytest.param("NUMBA_CACHE_DIR", marks=pytest.mark.campaign), "beside the sources"]
+)
 def test_a_kept_kernel_is_compiled_anew_when_what_it_calls_or_freezes_has_changed(
     installed: Path, kept_in: str
 ) -> None:

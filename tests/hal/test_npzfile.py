@@ -132,11 +132,9 @@ def test_what_is_packed_in_another_way_is_not_unpacked(tmp_path: Path, packed: i
             read(path)
 
 
-@pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
-def test_a_file_that_unpacks_to_gigabytes_takes_no_memory(
-    tmp_path: Path, reader: Callable[[Path], object]
-) -> None:
-    path = tmp_path / "bomb.npz"
+@pytest.fixture(scope="module")
+def bomb(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bomb") / "bomb.npz"
     count = 12_500_000
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for k in range(11):  # 1.1 GB of zeros in 5 MB
@@ -144,10 +142,17 @@ def test_a_file_that_unpacks_to_gigabytes_takes_no_memory(
                 out.write(npy(HEADER.format("'<f8'", f"({count},)")))
                 for _ in range(10):
                     out.write(bytes(8 * count // 10))
+    return path
+
+
+@pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
+def test_a_file_that_unpacks_to_gigabytes_takes_no_memory(
+    bomb: Path, reader: Callable[[Path], object]
+) -> None:
     tracemalloc.start()
     try:
         with pytest.raises(OperatorError, match="GB of arrays"):
-            reader(path)
+            reader(bomb)
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:
         tracemalloc.stop()

@@ -5,10 +5,11 @@
 
     python -m tools.bench loops --only graph --seeds 20
 
-`graph` is the way through `site` without LiDARs: each place that is passed again closes a loop that is 6 mm and 0.05 deg
-off. It tells how near such an odometry can come at all. `ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and
-four such corridors, 1.2 km. What the LiDARs see is cast on the scene; the odometry is the truth with errors of the size
-that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. Truth judges, and nothing else uses it.
+`graph` is the way through `site` without LiDARs: each place that is passed again closes a loop that is 6 mm and 0.05
+deg off. It tells how near such an odometry can come at all. `ring` is a short loop, `twins` two corridors that look
+the same to the last crate, `site` 150 x 150 m with a hill and four such corridors, 1.2 km. What the LiDARs see is
+cast on the scene; the odometry is the truth with errors of the size that the stack's odometry has
+(`tools.closing.Drift`), `--drift` times as large. Truth judges, and nothing else uses it.
 """
 
 from __future__ import annotations

@@ -192,7 +192,8 @@ def main() -> int:
                 "t": time.monotonic(), "v": body.v, "wz": body.wz, "x": body.x, "y": body.y,
                 "yaw": body.yaw, "mode": peer.robot.mode, "command": peer.robot.command, "phase": body.phase.value,
                 "ended": peer.robot.ended,
-                "commands": getattr(robot, "commands", 0), "stiff": getattr(body, "stiff", False), "soft_at": getattr(robot, "soft_at", 0.0),
+                "commands": getattr(robot, "commands", 0), "stiff": getattr(body, "stiff", False),
+                "soft_at": getattr(robot, "soft_at", 0.0),
                 "moves": [round(at / NS, 4) for at in peer.robot.moves],
             }  # fmt: skip
             peer.robot.moves.clear()

@@ -100,8 +100,15 @@ def rpe(run: SyntheticRun, poses: list, step: int) -> tuple[float, float]:
     return 1e3 * float(mm), float(np.degrees(rad))
 
 
-@pytest.mark.parametrize(("engine", "mm", "deg"), [("kiss_icp", 12.0, 0.20), ("small_gicp", 9.0, 0.15)])
-@pytest.mark.parametrize("joints", [True, False])
+@pytest.mark.parametrize(
+    ("engine", "mm", "deg", "joints"),
+    [
+        ("kiss_icp", 12.0, 0.20, False),
+        ("small_gicp", 9.0, 0.15, True),
+        pytest.param("kiss_icp", 12.0, 0.20, True, marks=pytest.mark.campaign),
+        pytest.param("small_gicp", 9.0, 0.15, False, marks=pytest.mark.campaign),
+    ],
+)
 def test_motion_over_one_second_is_within_the_limits(
     recorded: tuple[SyntheticRun, list[Sample]],
     driven: Driven,
@@ -173,7 +180,7 @@ def test_wheel_leg_odometry_drifts_less_than_three_percent(
     assert np.linalg.norm(out.wheels[-1].linear) > 0.1
 
 
-@pytest.mark.parametrize("seconds", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("seconds", [pytest.param(0.5, marks=pytest.mark.campaign), 1.0, 3.0])
 def test_a_scan_gap_is_bridged_and_rejoined_without_a_jump(
     recorded: tuple[SyntheticRun, list[Sample]], seconds: float
 ) -> None:
@@ -324,7 +331,13 @@ def elsewhere(
     return replace(run, motion=motion, start_stamp=since, duration=1.5), float(np.hypot(*place[:2]))
 
 
-@pytest.mark.parametrize("place", [(0.8, 0.0, 0.3), (-2.0, 1.5, 2.5), (1.0, -2.0, -1.2)])
+@pytest.mark.parametrize(
+    "place",
+    [
+        (0.8, 0.0, 0.3),
+        *(pytest.param(p, marks=pytest.mark.campaign) for p in ((-2.0, 1.5, 2.5), (1.0, -2.0, -1.2))),
+    ],
+)
 def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
     recorded: tuple[SyntheticRun, list[Sample]], place: tuple[float, float, float]
 ) -> None:

@@ -47,7 +47,12 @@ def remembered(world):
 
 @pytest.mark.parametrize(
     ("variant", "start_yaw", "goal_yaw"),
-    [("full", None, None), ("full", 1.0, -2.0), ("mean-only", None, 0.5), ("edge-only", 0.3, None)],
+    [
+        ("full", None, None),
+        pytest.param("full", 1.0, -2.0, marks=pytest.mark.campaign),
+        ("mean-only", None, 0.5),
+        ("edge-only", 0.3, None),
+    ],
 )
 def test_search_finds_the_optimum_over_ordered_pairs(world, variant, start_yaw, goal_yaw):
     grid, graph = world

@@ -96,6 +96,7 @@ def drive(
     return stack, said, furthest
 
 
+@pytest.mark.campaign
 def test_over_ground_that_sends_no_ray_back_it_creeps_to_the_goal(monkeypatch: pytest.MonkeyPatch) -> None:
     stack, said, _ = drive(monkeypatch, lane("level"))
     assert stack.newest[t.GOAL_STATUS].state == "reached"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from hal.safety.geofence import Fence
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -37,6 +39,7 @@ def deepest_until(stack: Lockstep, fence: Fence, seconds: float) -> float:
     return deep
 
 
+@pytest.mark.campaign
 def test_the_robot_drives_around_what_is_drawn_into_its_way() -> None:
     with Lockstep(config(sim=SPARSE)) as stack:
         stack.wait_ready()

@@ -50,7 +50,8 @@ def test_it_drives_when_the_trunk_is_level_again(looking: Lockstep) -> None:
 
 
 @pytest.mark.parametrize(
-    "trouble", ["stop", "tracker", pytest.param("navigator", marks=pytest.mark.campaign)]
+    "trouble",
+    ["tracker", *(pytest.param(name, marks=pytest.mark.campaign) for name in ("stop", "navigator"))],
 )
 def test_the_trunk_is_level_after_a_stop_or_the_death_of_a_commander(looking: Lockstep, trouble: str) -> None:
     if trouble == "stop":

@@ -41,10 +41,17 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_run_becomes_a_map_with_its_loops_closed(run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "map.npz"
-    result = CliRunner().invoke(app, ["map", "build", str(run), "--out", str(out), "--drift", "6"])
-    assert result.exit_code == 0, result.output
+def test_a_run_becomes_a_map_with_its_loops_closed_and_one_from_elsewhere_is_left_out(
+    run: Path, tmp_path: Path
+) -> None:
+    scene, corners = ring(half=(9.0, 2.0), seed=7)
+    truth = way_through(scene, corners[:3], step=0.5)[:30]
+    other, out = tmp_path / "other.mcap", tmp_path / "map.npz"
+    write_log(other, Drive(scene, truth, drifted(truth, Drift(), 5)), COARSE)
+    result = CliRunner().invoke(
+        app, ["map", "build", str(run), str(other), "--out", str(out), "--drift", "6"]
+    )
+    assert result.exit_code == 3, result.output
     record = json.loads(out.with_suffix(".json").read_text())
     assert len(record["closed"]) >= 2
     assert f"{len(record['closed'])} loops closed, {len(record['refused'])} refused" in result.output
@@ -55,6 +62,8 @@ def test_a_run_becomes_a_map_with_its_loops_closed(run: Path, tmp_path: Path) ->
     made = ElevationMap()
     assert made.load_prior(out) > 10_000
     assert len(made.cloud) > 200
+    assert record["not_in_the_map"] == [str(other)]
+    assert np.load(out)["tiles"].shape[1] == 2
     # the frame is that of the run: it starts in a corner of the ring
     assert (record["keyframes"][0]["x"], record["keyframes"][0]["y"]) == pytest.approx((-6.5, -5.0), abs=0.01)
 
@@ -71,20 +80,6 @@ def test_what_cannot_be_is_refused_before_it_is_begun(run: Path, tmp_path: Path)
     with pytest.raises(LogError, match="holds no"):
         build([tmp_path / "empty.mcap"], tmp_path / "map.npz")
     assert not list(tmp_path.glob("map*"))
-
-
-def test_a_run_from_elsewhere_is_left_out_and_told(run: Path, tmp_path: Path) -> None:
-    scene, corners = ring(half=(9.0, 2.0), seed=7)
-    truth = way_through(scene, corners[:3], step=0.5)[:30]
-    write_log(tmp_path / "other.mcap", Drive(scene, truth, drifted(truth, Drift(), 5)), COARSE)
-    out = tmp_path / "map.npz"
-    result = CliRunner().invoke(
-        app, ["map", "build", str(run), str(tmp_path / "other.mcap"), "--out", str(out)]
-    )
-    record = json.loads(out.with_suffix(".json").read_text())
-    assert result.exit_code == 3, result.output
-    assert record["not_in_the_map"] == [str(tmp_path / "other.mcap")]
-    assert np.load(out)["tiles"].shape[1] == 2
 
 
 def test_odometry_runs_again_where_the_log_holds_sweeps_alone(tmp_path: Path) -> None:

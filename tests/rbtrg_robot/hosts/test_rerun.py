@@ -96,7 +96,7 @@ def drive(folder: Path) -> tuple[StackConfig, Path]:
     with Lockstep(config, Lockstep.open_log(config, log)) as stack:
         stack.wait_ready()
         stack.send_goal(*config.load_scene().goals["a"][:2])
-        stack.run(4.0)
+        stack.run(3.0)
     return config, log
 
 

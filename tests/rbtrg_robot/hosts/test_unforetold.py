@@ -19,6 +19,7 @@ def test_by_hand_it_stands_at_a_pane_of_glass(degrees: float, controller: str) -
     assert outcome.moved < 0.3
 
 
+@pytest.mark.campaign
 def test_to_a_goal_behind_a_pane_it_goes_around() -> None:
     outcome = go_round(pane(0.0), "hybrid", 2)
     assert not BY_NAME["contact.pane_round"].missed(outcome)

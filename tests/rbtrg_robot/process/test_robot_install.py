@@ -35,7 +35,9 @@ def without_simulator(code: str) -> subprocess.CompletedProcess[str]:
 COMMANDS = ("--help", "config show --set backend=unitree --set interface=eth0", "scene list")
 
 
-def test_the_robots_commands_processes_and_doctor_need_no_simulator() -> None:
+def test_the_robots_commands_processes_and_doctor_need_no_simulator_and_up_says_what_to_install(
+    tmp_path: Path,
+) -> None:
     done = without_simulator(
         f"""
 import rbtrg_robot.hosts.live, rbtrg_robot.hosts.robot, rbtrg_robot.process.child, rbtrg_robot.process.zygote
@@ -58,9 +60,15 @@ print(sorted(build_stages(config, ["odometry", "elevation", "planner", "tracker"
 
 assert all(_library(name).level is Level.OK for name in REQUIRED)
 print(_simulator().level.name, _simulator().words)
+
+sys.argv = ["rbtrg-robot", "up", "--log-dir", {str(tmp_path)!r}, "--robot", "bare", "--port", "7993"]
+main()
 """
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1
+    assert "rbtrg-robot[sim]" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
     help_, config, scenes, rest = done.stdout.split("status 0\n")
     assert "Usage" in help_
     assert "interface: eth0" in config
@@ -69,14 +77,3 @@ print(_simulator().level.name, _simulator().words)
     assert stages == "['elevation', 'odometry', 'planner', 'tracker']"
     assert doctor.startswith("NOTE no simulated robot"), "the missing simulator is no fault"
     assert "rbtrg-robot[sim]" in doctor
-
-
-def test_up_with_a_simulator_says_what_to_install(tmp_path: Path) -> None:
-    done = without_simulator(
-        f"sys.argv = ['rbtrg-robot', 'up', '--log-dir', {str(tmp_path)!r}, '--robot', 'bare', '--port', '7993']\n"
-        "from rbtrg_robot.cli.main import main\nsys.exit(main())"
-    )
-    assert done.returncode == 1
-    assert "rbtrg-robot[sim]" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == []

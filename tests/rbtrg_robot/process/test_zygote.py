@@ -81,29 +81,17 @@ def test_a_killed_process_reports_the_signal(zygote: Zygote, tmp_path: Path) -> 
     forked.terminate()  # of an ended process: nothing
 
 
-def test_a_killed_zygote_is_replaced_and_its_processes_live_on(tmp_path: Path) -> None:
-    with Zygote() as zygote:
-        first = stopped(zygote, tmp_path / "first.log")
-        killed = zygote.pid
-        os.kill(killed, signal.SIGKILL)
-        assert first.poll() is None
-        second = zygote.fork(tracker(bogus=1), tmp_path / "second.log")
-        assert second.wait(60.0) == FATAL
-        assert zygote.pid != killed
-        assert first.poll() is None
-        first.kill()
-        assert first.wait(10.0) == -signal.SIGKILL
-
-
-def test_a_zygote_that_ended_is_replaced_before_it_is_needed() -> None:
-    with Zygote() as zygote:
-        assert not zygote.mend()
-        killed = zygote.pid
-        os.kill(killed, signal.SIGKILL)
-        os.waitid(os.P_PID, killed, os.WEXITED | os.WNOWAIT)
-        assert zygote.mend()
-        assert zygote.pid != killed
-        assert not zygote.mend()
+def test_a_killed_zygote_is_replaced_and_its_processes_live_on(zygote: Zygote, tmp_path: Path) -> None:
+    first = stopped(zygote, tmp_path / "first.log")
+    killed = zygote.pid
+    os.kill(killed, signal.SIGKILL)
+    assert first.poll() is None
+    second = zygote.fork(tracker(bogus=1), tmp_path / "second.log")
+    assert second.wait(60.0) == FATAL
+    assert zygote.pid != killed
+    assert first.poll() is None
+    first.kill()
+    assert first.wait(10.0) == -signal.SIGKILL
 
 
 def test_a_supervisor_that_ends_before_it_reads_the_answer_is_the_end_and_no_fault() -> None:
@@ -117,23 +105,29 @@ def test_a_supervisor_that_ends_before_it_reads_the_answer_is_the_end_and_no_fau
     its.close()
 
 
-def test_a_zygote_that_hangs_is_replaced_before_it_is_needed(tmp_path: Path) -> None:
-    with Zygote() as zygote:
-        assert zygote.fork(tracker(bogus=1), tmp_path / "first.log").wait(60.0) == FATAL
-        assert not zygote.mend()  # asks
-        assert zygote.fork(tracker(bogus=1), tmp_path / "second.log").wait(60.0) == FATAL
-        assert not zygote.mend()  # asks again
-        select.select([zygote._socket], [], [], 60.0)
-        assert not zygote.mend()  # hears the answer
-        assert zygote._socket.gettimeout() == 5.0
-        stuck = zygote.pid
-        os.kill(stuck, signal.SIGSTOP)
-        assert not zygote.mend()
-        zygote._socket.settimeout(1e-6)
-        assert zygote.mend()
-        assert zygote.pid != stuck
-        assert not psutil.pid_exists(stuck)
-        assert zygote.fork(tracker(bogus=1), tmp_path / "third.log").wait(60.0) == FATAL
+def test_a_zygote_that_hangs_or_ended_is_replaced_before_it_is_needed(zygote: Zygote, tmp_path: Path) -> None:
+    assert zygote.fork(tracker(bogus=1), tmp_path / "first.log").wait(60.0) == FATAL
+    assert not zygote.mend()  # asks
+    assert zygote.fork(tracker(bogus=1), tmp_path / "second.log").wait(60.0) == FATAL
+    assert not zygote.mend()  # asks again
+    select.select([zygote._socket], [], [], 60.0)
+    assert not zygote.mend()  # hears the answer
+    assert zygote._socket.gettimeout() == 5.0
+    stuck = zygote.pid
+    os.kill(stuck, signal.SIGSTOP)
+    assert not zygote.mend()
+    zygote._socket.settimeout(1e-6)
+    assert zygote.mend()
+    assert not psutil.pid_exists(stuck)
+    killed = zygote.pid
+    assert killed != stuck
+    assert not zygote.mend()
+    os.kill(killed, signal.SIGKILL)
+    os.waitid(os.P_PID, killed, os.WEXITED | os.WNOWAIT)
+    assert zygote.mend()
+    assert zygote.pid != killed
+    assert not zygote.mend()
+    assert zygote.fork(tracker(bogus=1), tmp_path / "third.log").wait(60.0) == FATAL
 
 
 def test_a_process_shares_what_is_loaded_and_imports_nothing_of_numba_with_its_kernels() -> None:
@@ -157,19 +151,20 @@ def test_a_process_shares_what_is_loaded_and_imports_nothing_of_numba_with_its_k
     )
 
 
-def test_a_stopped_zygote_is_replaced_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_zygote_is_replaced_within_bounds(
+    zygote: Zygote, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("rbtrg_robot.process.zygote.ANSWER_LIMIT", 0.5)
-    with Zygote() as zygote:
-        first = stopped(zygote, tmp_path / "first.log")
-        stuck = zygote.pid
-        os.kill(stuck, signal.SIGSTOP)
-        second = zygote.fork(tracker(bogus=1), tmp_path / "second.log")
-        assert second.wait(60.0) == FATAL
-        assert zygote.pid != stuck
-        assert not psutil.pid_exists(stuck)
-        assert first.poll() is None
-        first.kill()
-        assert first.wait(10.0) == -signal.SIGKILL
+    first = stopped(zygote, tmp_path / "first.log")
+    stuck = zygote.pid
+    os.kill(stuck, signal.SIGSTOP)
+    second = zygote.fork(tracker(bogus=1), tmp_path / "second.log")
+    assert second.wait(60.0) == FATAL
+    assert zygote.pid != stuck
+    assert not psutil.pid_exists(stuck)
+    assert first.poll() is None
+    first.kill()
+    assert first.wait(10.0) == -signal.SIGKILL
 
 
 def test_a_process_starts_though_its_folder_is_gone_or_cannot_be_written(
@@ -188,30 +183,6 @@ def test_a_process_starts_though_its_folder_is_gone_or_cannot_be_written(
     assert "Traceback" not in said
 
 
-def test_what_a_killed_process_leaves_is_reaped_and_what_is_waited_for_is_not(tmp_path: Path) -> None:
-    script = """
-import json, os, signal, subprocess, sys
-from pathlib import Path
-from rbtrg_robot.process.zygote import Zygote
-children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
-with Zygote() as zygote:
-    known = zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2]))
-    os.kill(known.pid, signal.SIGSTOP)
-    subprocess.run(["sh", "-c", "sleep 0.1 &"], check=True)
-    (left,) = set(children.read_text().split()) - {str(zygote.pid), str(known.pid)}
-    os.waitid(os.P_PID, int(left), os.WEXITED | os.WNOWAIT)
-    zygote.reap({known.pid})
-    print(set(children.read_text().split()) == {str(zygote.pid), str(known.pid)})
-    os.kill(known.pid, signal.SIGKILL)
-    os.waitid(os.P_PID, known.pid, os.WEXITED | os.WNOWAIT)
-    zygote.reap({known.pid})
-    print(known.wait(10))
-"""
-    arguments = [sys.executable, "-c", script, json.dumps(tracker()), str(tmp_path / "log")]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=150, check=False)
-    assert done.stdout.split() == ["True", str(-signal.SIGKILL)], done.stderr
-
-
 @pytest.mark.parametrize("name", [p.name for p in PROCESSES])
 def test_when_the_supervisor_dies_robot_and_recorder_may_end_in_order(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -226,12 +197,24 @@ def test_when_the_supervisor_dies_robot_and_recorder_may_end_in_order(
     assert told[PR_SET_PDEATHSIG] == ends
 
 
-def test_nothing_survives_a_killed_caller(tmp_path: Path) -> None:
+def test_what_a_killed_process_leaves_is_reaped_and_nothing_survives_a_killed_caller(tmp_path: Path) -> None:
     script = """
-import json, os, signal, sys
+import json, os, signal, subprocess, sys
 from pathlib import Path
 from rbtrg_robot.process.zygote import Zygote
+children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
 zygote = Zygote()
+known = zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2]))
+os.kill(known.pid, signal.SIGSTOP)
+subprocess.run(["sh", "-c", "sleep 0.1 &"], check=True)
+(left,) = set(children.read_text().split()) - {str(zygote.pid), str(known.pid)}
+os.waitid(os.P_PID, int(left), os.WEXITED | os.WNOWAIT)
+zygote.reap({known.pid})
+print(set(children.read_text().split()) == {str(zygote.pid), str(known.pid)})
+os.kill(known.pid, signal.SIGKILL)
+os.waitid(os.P_PID, known.pid, os.WEXITED | os.WNOWAIT)
+zygote.reap({known.pid})
+print(known.wait(10))
 pid = zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2])).pid
 os.kill(pid, signal.SIGSTOP)
 print(pid, zygote.pid, flush=True)
@@ -244,8 +227,10 @@ sys.stdin.read()
         text=True,
     ) as caller:
         assert caller.stdout is not None
-        processes = [psutil.Process(int(pid)) for pid in caller.stdout.readline().split()]
+        reaped, ended, alive = (caller.stdout.readline().split() for _ in range(3))
+        assert (reaped, ended) == (["True"], [str(-signal.SIGKILL)])
+        processes = [psutil.Process(int(pid)) for pid in alive]
         assert len(processes) == 2
         caller.kill()
-    _gone, alive = psutil.wait_procs(processes, timeout=5.0)
-    assert not alive
+    _gone, left = psutil.wait_procs(processes, timeout=5.0)
+    assert not left

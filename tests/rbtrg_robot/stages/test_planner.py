@@ -377,6 +377,7 @@ def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:
     assert ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal
 
 
+@pytest.mark.campaign
 def test_a_baseline_plans_in_the_planners_place_and_its_path_is_watched() -> None:
     stage = build(load(None, ["planner.method=tools.baselines.t_hybrid:plan"], scene="flat"))
     height = 0.006 * np.random.default_rng(0).standard_normal((100, 125))

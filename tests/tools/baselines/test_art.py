@@ -16,6 +16,7 @@ from tools.baselines.art.layers import closed, density, dilated, eroded, layers,
 from tools.baselines.art.plan import _quaternions
 from tools.baselines.art.roadmap import cheapest, connect, seconds, yaw_of
 
+pytestmark = pytest.mark.campaign
 RES = 0.05
 QUICK = ArtParams(milestones=400, batch=200)
 

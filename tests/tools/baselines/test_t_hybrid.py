@@ -20,6 +20,7 @@ from tools.baselines.t_hybrid.search import collides, distances, risk_at
 from tools.baselines.t_hybrid.smooth import smooth
 from tools.baselines.t_hybrid.terrain import BLOCKED, NO_RECORD, TRAVERSABLE
 
+pytestmark = pytest.mark.campaign
 PAPER = PROFILES["paper"]
 
 

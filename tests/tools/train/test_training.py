@@ -135,7 +135,8 @@ def test_robots_in_lanes_are_told_to_slow_down_to_turn_aside_and_to_stand() -> N
 def body(**changes: np.ndarray) -> Body:
     values = {
         "yaw": np.zeros(1), "velocity": np.zeros((1, 3)), "spin": np.zeros((1, 3)), "up": np.array([[0.0, 0.0, 1.0]]),
-        "q": np.tile(Layout(DESCRIPTION).default, (1, 1)), "dq": np.zeros((1, 16)), "torque": np.zeros((1, 16)), "above": np.array([0.4]),
+        "q": np.tile(Layout(DESCRIPTION).default, (1, 1)), "dq": np.zeros((1, 16)),
+        "torque": np.zeros((1, 16)), "above": np.array([0.4]),
     }  # fmt: skip
     return Body(**(values | changes))
 

@@ -1,5 +1,5 @@
-"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages and with video, the stop's round trip
-alone and beside video and a replay, when old is called old."""
+"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages and with video, the stop's round
+trip alone and beside video and a replay, when old is called old."""
 
 from __future__ import annotations
 

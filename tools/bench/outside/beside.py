@@ -1,6 +1,7 @@
 """One recorded drive of ours by ours, by KISS-ICP as it comes and by rko-lio as it comes.
 
-rko-lio is no dependency: `uv run --with rko-lio==0.4.0 python -m tools.bench outside --beside`. It opens our run as any bag.
+rko-lio is no dependency: `uv run --with rko-lio==0.4.0 python -m tools.bench outside --beside`. It opens our run as any
+bag.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ def as_bag(run: RecordedDrive, folder: Path) -> Path:
 
 
 def _rko_lio(voxel: float, bag: Path) -> Track:
-    """What rko-lio's own reader and odometry make of the folder: its defaults but for voxels, one thread, near points."""
+    """What rko-lio's own reader and odometry make of the folder: its defaults but for voxels, one thread, near
+    points."""
     settings, reader = _part("config"), _part("dataloaders.rosbag").RosbagDataLoader
     data = reader(bag, t.IMU.name, t.POINTS.name, None, None, BASE, settings.TimestampConfig())
     imu, lidar = data.extrinsics

@@ -101,14 +101,6 @@ def test_the_processes_stand_the_robot_up_and_the_motors_go_soft_when_the_loop_i
     host.until(Phase.FAULT)
     assert "motor loop" in host.backend.state().cause
     watch.wait(15.0)  # it ends by itself, once the robot lies
-    host.backend.request(ModeRequest.RECOVER)
-    host.until(Phase.STANDING)
-    host.peer.until(lambda: host.peer.last["stiff"], 30.0)
-    again = host.loop
-    assert again.pid != loop.pid
-    host.backend.close()
-    assert not again.is_running()
-    assert host.peer.last["phase"] == "sitting", "its own motion service has the motors again"
 
 
 def test_no_process_is_left_when_the_host_is_killed() -> None:

@@ -98,12 +98,19 @@ def deployed(n: int = 12, **changes: Any) -> dict[str, Any]:
     return {
         "joint_ids_map": BY_KIND, "step_dt": 0.02, "stiffness": stiffness, "damping": [0.5] * n,
         "default_joint_pos": [0.1, -0.1, 0.1, -0.1, 0.8, 0.8, 1.0, 1.0, -1.5, -1.5, -1.5, -1.5],
-        "commands": {"base_velocity": {"ranges": {"lin_vel_x": [-0.5, 0.4], "lin_vel_y": [-0.3, 0.3], "ang_vel_z": [-0.2, 0.2], "heading": None}}},
-        "actions": {"JointPositionAction": {"clip": [[-1.0, 1.0]] * 12, "joint_names": [".*"], "scale": [0.25] * 12, "offset": [0.05] * 12, "joint_ids": None}},
+        "commands": {"base_velocity": {"ranges": {
+            "lin_vel_x": [-0.5, 0.4], "lin_vel_y": [-0.3, 0.3], "ang_vel_z": [-0.2, 0.2], "heading": None,
+        }}},
+        "actions": {"JointPositionAction": {
+            "clip": [[-1.0, 1.0]] * 12, "joint_names": [".*"], "scale": [0.25] * 12, "offset": [0.05] * 12,
+            "joint_ids": None,
+        }},
         "observations": {
             "base_ang_vel": {"params": {}, "clip": [-1.0, 1.0], "scale": [0.2] * 3, "history_length": 3},
             "projected_gravity": {"params": {}, "clip": None, "scale": [1.0] * 3, "history_length": 3},
-            "velocity_commands": {"params": {"command_name": "base_velocity"}, "clip": None, "scale": [1.0] * 3, "history_length": 1},
+            "velocity_commands": {
+                "params": {"command_name": "base_velocity"}, "clip": None, "scale": [1.0] * 3, "history_length": 1,
+            },
             "joint_pos_rel": {"params": {}, "clip": None, "scale": [1.0] * 12, "history_length": 3},
             "joint_vel_rel": {"params": {}, "clip": None, "scale": [0.05] * 12, "history_length": 3},
             "last_action": {"params": {}, "clip": None, "scale": [1.0] * 12, "history_length": 1},
@@ -342,7 +349,8 @@ def test_a_damaged_network_is_read_or_refused(
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-5, 200) | st.floats() | st.text(max_size=6),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["term", "scale", "clip", "x", "ages"]), inner, max_size=3),
+    lambda inner: st.lists(inner, max_size=4)
+    | st.dictionaries(st.sampled_from(["term", "scale", "clip", "x", "ages"]), inner, max_size=3),
     max_leaves=8,
 )  # fmt: skip
 
@@ -371,7 +379,8 @@ def test_the_check_says_what_a_policy_needs_and_that_a_random_one_does_not_drive
     run = CliRunner().invoke(app, ["policy", "check", str(own(tmp_path))])
     assert run.exit_code == 1
     for words in (
-        "a description of ours", "111 numbers in, 16 out", "every 20 ms", "sees gyro: 3 numbers, of 2 steps (ages 4, 0)",
+        "a description of ours", "111 numbers in, 16 out", "every 20 ms",
+        "sees gyro: 3 numbers, of 2 steps (ages 4, 0)",
         "moves 16 joints", "it first moves", "Nm", "wrong: policy: told 0.4 m/s",
     ):  # fmt: skip
         assert words in run.output, words

@@ -25,9 +25,8 @@ SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 WHEEL_RING = (0.15, 0.36)
 """Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
-NOISE, MOST_NOISE = 3.5, 0.02
-"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five. More [m] is
-no noise of the map, but rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
+LONE_FACES = 0.01
+"""[m^2] of ground with higher faces is noise of the map."""
 UNKNOWN_RUN = 0.20
 """Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
 
@@ -119,73 +118,65 @@ def turn_is_free(headings, yaw_in, turn):
 
 
 @njit(cache=True)
-def turn_ground(height, trusted, x0, y0, res, x, y, climbed):
-    """Highest edge [m] where the wheels go in a turn on the spot, and the slope [m/m] of the ground there.
+def turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed):
+    """Height [m] of the face that the wheels meet in a turn on the spot at x, y [m], and the slope [m/m] of the ground
+    there.
 
-    An edge is a rise over `BASE` less the ground's own slope. Along x and along y, between means of about 5 cm.
-    The slope is the median of all the rises, so neither a ramp nor part of a plate counts; what the map's noise makes
-    of even ground is taken off. What is higher than `climbed` [m] is a wall, beside which a turn has room or not.
+    The highest face of the wheels' ring counts that is no lone one (`LONE_FACES`). What is higher than `climbed` [m] is
+    a wall, beside which a turn has room or not, and so is what smears of it. The slope is that of the ground without
+    its faces, the mean of four quarters: on a crest they look four ways.
     """
     rows, cols = height.shape
-    stride = max(1, round(0.04 / res))
-    base = round(BASE / (stride * res))
-    n = math.ceil((WHEEL_RING[1] + 0.5 * BASE) / (stride * res))
-    half = round(0.02 / res)
+    n = max(1, round(0.5 * BASE / res))
+    reach = math.ceil(WHEEL_RING[1] / res)
     r_mid = cell_of(y, y0, res)
     c_mid = cell_of(x, x0, res)
-    side = 2 * n + 1
-    mean = np.full((side, side), np.nan)
-    inner = (WHEEL_RING[0] / (stride * res)) ** 2
-    outer = (WHEEL_RING[1] / (stride * res)) ** 2
-    most = steep = 0.0
-    for i in range(side):
-        r = r_mid + (i - n) * stride
-        for j in range(side):
-            c = c_mid + (j - n) * stride
-            total = 0.0
-            count = 0
-            low = np.inf
-            high = -np.inf
-            for a in range(max(0, r - half), min(rows, r + half + 1)):
-                for b in range(max(0, c - half), min(cols, c + half + 1)):
-                    if trusted[a, b]:
-                        total += height[a, b]
-                        count += 1
-                        low = min(low, height[a, b])
-                        high = max(high, height[a, b])
-            if count > 0 and high - low <= climbed:  # the mean of a wall and its foot would look like a kerb
-                mean[i, j] = total / count
-    rises = np.empty(side * side, np.float64)
-    for axis in range(2):
-        di = base * (axis == 0)
-        dj = base * (axis == 1)
-        count = 0
-        for i in range(side - di):
-            for j in range(side - dj):
-                d2 = (i + 0.5 * di - n) ** 2 + (j + 0.5 * dj - n) ** 2
-                rise = mean[i + di, j + dj] - mean[i, j]
-                if inner <= d2 <= outer and rise == rise:
-                    rises[count] = rise
-                    count += 1
-        if count > 0:
-            slope = select(rises, count, count // 2)
-            steep += (slope / (base * stride * res)) ** 2
-            for i in range(count):
-                rises[i] = abs(rises[i] - slope)
-            noise = min(NOISE * select(rises, count, count // 2), MOST_NOISE)
-            for i in range(count):
-                edge = rises[i] - noise
-                if edge <= climbed:
-                    most = max(most, edge)
-    return most, math.sqrt(steep)
+    inner, outer = (WHEEL_RING[0] / res) ** 2, (WHEEL_RING[1] / res) ** 2
+    least, wall = 1000.0 * LEAST_FACE, 1000.0 * climbed
+    sizes = np.empty((2 * reach + 1) ** 2, np.int64)
+    rise = np.zeros((4, 2))
+    known = np.zeros((4, 2), np.int64)
+    found = 0
+    for r in range(max(0, r_mid - reach), min(rows, r_mid + reach + 1)):
+        for c in range(max(0, c_mid - reach), min(cols, c_mid + reach + 1)):
+            if not inner <= (r - r_mid) ** 2 + (c - c_mid) ** 2 <= outer:
+                continue
+            size = max(abs(faces[r, c, 0]), abs(faces[r, c, 1]))
+            if size >= least:
+                beside = 0
+                for i in range(max(0, r - n), min(rows, r + n + 1)):
+                    for j in range(max(0, c - n), min(cols, c + n + 1)):
+                        beside = max(beside, abs(faces[i, j, 0]), abs(faces[i, j, 1]))
+                if beside <= wall:
+                    sizes[found] = size
+                    found += 1
+                continue
+            quarter = 2 * (r > r_mid) + (c > c_mid)
+            for axis in range(2):
+                dr, dc = (0, n) if axis == 0 else (n, 0)
+                if (
+                    dr <= r < rows - dr
+                    and dc <= c < cols - dc
+                    and trusted[r - dr, c - dc]
+                    and trusted[r + dr, c + dc]
+                ):
+                    rise[quarter, axis] += height[r + dr, c + dc] - height[r - dr, c - dc]
+                    known[quarter, axis] += 1
+    lone = round(LONE_FACES / (res * res))
+    edge = 0.001 * select(sizes, found, found - 1 - lone) if found > lone else 0.0
+    steep, told = 0.0, 0
+    for quarter in range(4):
+        if known[quarter].min() > 0:
+            there = rise[quarter] / known[quarter]
+            steep += math.hypot(there[0], there[1]) / (2 * n * res)
+            told += 1
+    return edge, steep / max(told, 1)
 
 
 @njit(cache=True)
-def turn_price(height, trusted, x0, y0, res, x, y, prices, climbed):
+def turn_price(height, trusted, faces, x0, y0, res, x, y, prices, climbed):
     """[m/rad] of a bend and of a turn on the spot at x, y [m]."""
-    edge, slope = turn_ground(height, trusted, x0, y0, res, x, y, climbed)
-    if edge < LEAST_FACE:
-        edge = 0.0
+    edge, slope = turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed)
     if slope < EVEN_TAN:
         slope = 0.0
     if edge == 0.0 and slope == 0.0:
@@ -221,7 +212,7 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 
 @njit(cache=True)
 def describe_nodes(
-    height, trusted, flags, x0, y0, res, chosen, where, todo, near, ring, length, width,
+    height, trusted, flags, faces, x0, y0, res, chosen, where, todo, near, ring, length, width,
     frontier, headings, price, prices, climbed,
 ):  # fmt: skip
     """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `price` (ny, nx, 2) of those that are in
@@ -238,4 +229,4 @@ def describe_nodes(
                 if not near[j, i]:
                     continue
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
-                price[j, i] = turn_price(height, trusted, x0, y0, res, x, y, prices, climbed)
+                price[j, i] = turn_price(height, trusted, faces, x0, y0, res, x, y, prices, climbed)

@@ -132,6 +132,18 @@ def _in_move(crossed, found, step, n):
 
 
 @njit(cache=True)
+def crossed_by(height, flags, faces, x0, y0, res, prices, wheel, xa, ya, ux, uy, d, crossed, gaps):
+    """Where a wheel is when the body is at xa, ya [m], and what it crosses in a move along ux, uy: see `wheel_track`."""
+    ahead = prices.axle if wheel < 2 else -prices.axle
+    aside = prices.tread if wheel % 2 == 0 else -prices.tread
+    xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
+    found, holes, field, post = wheel_track(
+        height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps
+    )
+    return xw, yw, found, holes, field, post
+
+
+@njit(cache=True)
 def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
     """Write the prices [m] of the straight move from a to b into `out` (2, 2): there and back, driven forward and
     backward. False where it crosses stairs that are no way. `faces` [mm] as of `planning.graph.faces`; coordinates in m,
@@ -142,11 +154,8 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
     out[:] = 0.0
     share = posts = 0.0
     for wheel in range(4):
-        ahead = prices.axle if wheel < 2 else -prices.axle
-        aside = prices.tread if wheel % 2 == 0 else -prices.tread
-        xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
-        found, holes, field, post = wheel_track(
-            height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps
+        _, _, found, holes, field, post = crossed_by(
+            height, flags, faces, x0, y0, res, prices, wheel, xa, ya, ux, uy, d, crossed, gaps
         )
         for k in range(found):
             size, angle, tread = crossed[k, 1], crossed[k, 2], crossed[k, 3]
@@ -164,7 +173,7 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
         share += 0.25 * field
         posts = max(posts, post)
     out += prices.posts[size_at(posts)] * d * share
-    _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out)
+    slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out)
     return out[0, 0] < np.inf
 
 
@@ -183,11 +192,13 @@ def _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size):
 
 
 @njit(cache=True)
-def _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
-    """Add the price of the slopes under the wheels, where no wheel stands on a face."""
+def slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
+    """Add the price of the slopes under the wheels, where no wheel stands on a face. Returns how far along [m] the
+    steepest is, how steep [m/m], and the angle between travel and uphill there [rad]."""
     rows, cols = height.shape
     n = math.ceil(d / (2.0 * res))
     z = np.empty(4)
+    steepest, where, ahead_is = 0.0, 0.0, 0.0
     for k in range(n):
         along = (k + 0.5) * d / n
         known = True
@@ -214,3 +225,6 @@ def _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
         there, back = prices.slope[i, angle_at(direction)], prices.slope[i, angle_at(math.pi - direction)]
         out[0] += there * d / n
         out[1] += back * d / n
+        if steep > steepest:
+            steepest, where, ahead_is = steep, along, direction
+    return where, steepest, ahead_is

@@ -56,8 +56,9 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
                 rise = height[r + dr, c + dc] - height[r - dr, c - dc]
                 if abs(rise) > 0.01:
                     rises[axis, 0] = rise
-                    if 3 * dr <= r < rows - 3 * dr and 3 * dc <= c < cols - 3 * dc:
+                    if 3 * dr <= r and 3 * dc <= c:
                         rises[axis, 1] = height[r - dr, c - dc] - height[r - 3 * dr, c - 3 * dc]
+                    if r < rows - 3 * dr and c < cols - 3 * dc:
                         rises[axis, 2] = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
             along_x = abs(rises[0, 0]) >= abs(rises[1, 0])
             main = rises[0] if along_x else rises[1]

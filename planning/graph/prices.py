@@ -66,6 +66,13 @@ class Prices(NamedTuple):
     tread: float
     """Where the wheels touch the ground, before base_link and beside it [m]."""
 
+    def of_face(self, size: float, angle: float, tread: float, back: bool) -> float:
+        """[m] of one wheel that crosses a face of `size` [m], negative: down, at an angle to its normal [rad]; `tread`
+        [m]: of stairs, else 0."""
+        down, i, j = int(size < 0.0), size_at(size), angle_at(angle)
+        stairs = tread > 0.0 and not back
+        return float(self.stairs[down, i, tread_at(tread), j] if stairs else self.face[down, int(back), i, j])
+
 
 def free(axle: float, tread: float) -> Prices:
     """Where nothing has a price: the paper's cost."""
@@ -85,6 +92,11 @@ def free(axle: float, tread: float) -> Prices:
 def prices_of(params: GraphParams) -> Prices:
     """Prices by the stored envelope of a controller. Raises EnvelopeError."""
     return _prices(params.controller, params.fall_cost, params.axle, params.tread)
+
+
+def hazards_of(params: GraphParams) -> Prices:
+    """The same with hazards, -ln(1 - p), instead of metres. Raises EnvelopeError."""
+    return _prices(params.controller, 1.0, params.axle, params.tread)
 
 
 @cache

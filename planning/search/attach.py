@@ -72,7 +72,7 @@ def dear_to_turn(graph: TraversalGraph, grid: ElevationGrid, stand: tuple[float,
     if c.flags[row, col] & FIELD:
         return False
     prices = prices_of(p)
-    bend, _ = turn_price(grid.height, grid.trusted, *c.origin, c.res, x, y, prices, p.climbed)
+    bend, _ = turn_price(grid.height, grid.trusted, c.faces, *c.origin, c.res, x, y, prices, p.climbed)
     return float(bend) >= DEAR_BEND
 
 
@@ -211,7 +211,7 @@ class Ground:
     def turn_prices(self, xy: NDArray[np.float64]) -> NDArray[np.float32]:
         """(n, 2) `TraversalGraph.turn_price` at places (n, 2) [m]."""
         c, grid = self._cells, self._grid
-        ground = grid.height, grid.trusted, *c.origin, c.res
+        ground = grid.height, grid.trusted, c.faces, *c.origin, c.res
         out: NDArray[np.float32] = _turn_prices(*ground, xy, self._prices, self.graph.params.climbed)
         return out
 
@@ -286,11 +286,11 @@ def _headings(flags, x0, y0, res, places, length, width):
 
 
 @njit(cache=True)
-def _turn_prices(height, trusted, x0, y0, res, places, prices, climbed):
+def _turn_prices(height, trusted, faces, x0, y0, res, places, prices, climbed):
     out = np.empty((len(places), 2), np.float32)
     for k in range(len(places)):
         x, y = places[k, 0], places[k, 1]
-        out[k, 0], out[k, 1] = turn_price(height, trusted, x0, y0, res, x, y, prices, climbed)
+        out[k, 0], out[k, 1] = turn_price(height, trusted, faces, x0, y0, res, x, y, prices, climbed)
     return out
 
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.envelope import Envelope
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.risk.body import FEATURES, BodyModel, weights_of
-from planning.risk.chance import Chance, Way, chance
+from planning.risk.chance import Chance, chance
 from planning.risk.cost import Weights, transition_cost
 from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
@@ -139,19 +138,16 @@ class Route:
         return np.where(self.back[first:last], self.rules.backward, 1.0)
 
 
-def with_chance(found: Plan, graph: TraversalGraph, grid: ElevationGrid, envelope: Envelope) -> Plan:
-    """The plan, told how likely it fails; on a graph that does not know its map, the same plan."""
-    if graph.cells is None or not found.transitions:
-        return replace(found, chance=None if found.transitions else Chance(0.0, (), ""))
-    yaws = (math.nan if yaw is None else yaw for yaw in (found.request.start_yaw, found.request.goal_yaw))
-    start, goal = yaws
-    way = Way(
-        found.points[:, :2],
-        np.array([x.backward for x in found.transitions]),
-        start,
-        goal if found.reaches_goal else math.nan,
+def with_chance(found: Plan, graph: TraversalGraph, grid: ElevationGrid) -> Plan:
+    """The plan, told how likely it fails; the same plan where that is not known."""
+    if not found.transitions:
+        return replace(found, chance=Chance(0.0, (), ""))
+    start, goal = (
+        math.nan if yaw is None else yaw for yaw in (found.request.start_yaw, found.request.goal_yaw)
     )
-    return replace(found, chance=chance(envelope, grid, graph.cells, way, graph.params))
+    back = np.array([x.backward for x in found.transitions])
+    goal = goal if found.reaches_goal else math.nan
+    return replace(found, chance=chance(graph, grid, found.points[:, :2], back, start, goal))
 
 
 def describe(

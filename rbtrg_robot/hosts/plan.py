@@ -163,7 +163,7 @@ class MapPlanner:
             has_goal_yaw=goal_yaw is not None,
             goal_yaw=0.0 if goal_yaw is None else float(goal_yaw),
         )
-        ways = WaySearch(self.config.planner, self._body, self._limits, envelope=self.config.envelope())
+        ways = WaySearch(self.config.planner, self._body, self._limits)
         try:
             way = ways.find(terrain, asked, None, 0)
         except PlanningError as error:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from hal.envelope import Envelope
 from hal.safety.planned import free_turn, known_behind, mapped
 from hal.safety.swept import Body
 from hal.types import NS
@@ -84,19 +83,17 @@ class PlannerStage:
         limits: PathLimits,
         seed: int = 0,
         creep: float = 0.0,
-        envelope: Envelope | None = None,
         area: GoalArea = GoalArea(),
     ) -> None:
-        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`; `envelope`: of the controller that
-        drives; `area`: what the configuration keeps the robot in and out of."""
+        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`; `area`: what the configuration keeps the
+        robot in and out of."""
         self._area, self._configured = area, area
-        self._envelope = envelope
         self._params = params
         self._body = body
         self._limits = limits
         self._map = MapGraph(graph_params, body, seed)
         self._map.enclose(area.fence)
-        self._ways = WaySearch(params, body, limits, creep, envelope)
+        self._ways = WaySearch(params, body, limits, creep)
         self._epoch = 0
         self._updated = 0
         self._patched = 0
@@ -130,9 +127,7 @@ class PlannerStage:
 
     def warm_up(self) -> None:
         """Plan on made-up ground."""
-        stage = PlannerStage(
-            self._params, self._map.params, self._body, self._limits, self._map.seed, envelope=self._envelope
-        )
+        stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
         layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height))
@@ -421,7 +416,6 @@ def build(config: StackConfig) -> PlannerStage:
         limits_of(config),
         config.seed,
         robot.creep,
-        config.envelope(),
         GoalArea.of(config),
     )
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hal.envelope import Envelope
 from hal.types import NS
 from planning.baselines.door import OURS, Planner, planner_of
 from planning.errors import NoRoute, NoRouteReason
@@ -71,11 +70,8 @@ class WaySearch:
         body: BodyModel,
         limits: PathLimits,
         creep: float = 0.0,
-        envelope: Envelope | None = None,
     ) -> None:
-        """`creep` [m/s]: see `Capabilities`; `envelope` of the controller that drives: without it no way tells its
-        chance."""
-        self._envelope = envelope
+        """`creep` [m/s]: see `Capabilities`."""
         self._creep = creep
         self._crept: tuple[float, float] | None = None
         """x, y [m] from where a way last led onto ground that nobody saw: near there the robot may stand at an edge,
@@ -138,9 +134,9 @@ class WaySearch:
 
     def told(self, terrain: MapGraph, found: Plan) -> Plan:
         """The plan with its chance."""
-        if self._envelope is None or terrain.graph is None or terrain.grid is None:
+        if terrain.graph is None or terrain.grid is None:
             return found
-        return with_chance(found, terrain.graph, terrain.grid, self._envelope)
+        return with_chance(found, terrain.graph, terrain.grid)
 
     def path_of(self, terrain: MapGraph, found: Plan) -> Path:
         """The smooth path of a plan."""

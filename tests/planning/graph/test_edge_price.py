@@ -11,7 +11,7 @@ from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, edge_price
 from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.params import GraphParams
-from planning.graph.prices import LONGEST_TREAD, angle_at, prices_of, size_at, tread_at
+from planning.graph.prices import LONGEST_TREAD, Prices, angle_at, prices_of, size_at, tread_at
 
 RES = 0.04
 PRICES = prices_of(GraphParams(controller="hybrid"))
@@ -25,10 +25,12 @@ def faces_of(z: np.ndarray) -> np.ndarray:
     return out
 
 
-def price(z: np.ndarray, a: np.ndarray, b: np.ndarray, flags: np.ndarray | None = None) -> np.ndarray:
+def price(
+    z: np.ndarray, a: np.ndarray, b: np.ndarray, flags: np.ndarray | None = None, prices: Prices = PRICES
+) -> np.ndarray:
     out = np.full((2, 2), np.nan, np.float32)
     flags = np.zeros(z.shape, np.uint16) if flags is None else flags
-    edge_price(z, flags, faces_of(z), 0.0, 0.0, RES, PRICES, *a, *b, out)
+    edge_price(z, flags, faces_of(z), 0.0, 0.0, RES, prices, *a, *b, out)
     return out
 
 
@@ -57,6 +59,16 @@ def test_a_kerb_costs_one_crossing_at_its_angle_in_however_many_moves(degrees: i
     parts = sum(price(z, (a, 2.0), (b, 2.0)) for a, b in pairwise(x))
     np.testing.assert_allclose(parts, whole, rtol=0.35, atol=0.02)
     np.testing.assert_allclose(price(z, (3.7, 2.0), (1.3, 2.0)), whole[::-1], rtol=0.35, atol=0.02)
+
+
+def test_a_kerb_under_the_left_wheels_is_half_of_one() -> None:
+    level = PRICES._replace(slope=np.zeros_like(PRICES.slope))  # beyond it the robot leans
+    y, x = np.mgrid[0:100, 0:125] * RES
+    whole, half = (
+        price((0.16 * at).astype(np.float32), (1.3, 2.0), (3.7, 2.0), prices=level)
+        for at in (x > 2.5, (x > 2.5) & (y > 2.0))
+    )
+    np.testing.assert_allclose(half, 0.5 * whole, rtol=0.25)  # a row of the table is a centimetre
 
 
 @pytest.mark.parametrize("tread", [0.26, 0.30, 0.36])

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from hal.rotation import wrap
 from hal.safety.swept import FLAT, Surroundings, reach_of, turn_step, turn_tracks
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
-from planning.graph.describe import ALL_HEADINGS, turn_ground
-from planning.graph.faces import LEAST_FACE
+from planning.graph.describe import ALL_HEADINGS, LONE_FACES, WHEEL_RING, turn_ground
+from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
 from planning.risk.body import BodyModel, sweep_poses
@@ -92,7 +94,8 @@ def ground(height: np.ndarray, res: float = 0.025) -> tuple[ElevationGrid, Trave
 
 def edges_of(grid: ElevationGrid, graph: TraversalGraph) -> tuple[np.ndarray, np.ndarray]:
     """(n,) highest edge under the wheels [m] and slope [m/m] at each node."""
-    ground = grid.height, grid.trusted, *grid.origin, grid.resolution
+    assert graph.cells is not None
+    ground = grid.height, grid.trusted, graph.cells.faces, *grid.origin, grid.resolution
     told = [turn_ground(*ground, x, y, graph.params.climbed) for x, y, _ in graph.nodes.tolist()]
     return np.array(told).T[0], np.array(told).T[1]
 
@@ -130,9 +133,49 @@ def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -
     for height, reach in ((crest, 0.2), (rough, 2.0)):
         noisy = (height + 0.003 * rng.standard_normal(x.shape)).astype(np.float32)
         for along in np.linspace(-reach, reach, 9):
-            p = GraphParams()
-            ground = noisy, np.ones(x.shape, bool), 0.0, 0.0, 0.04
-            assert turn_ground(*ground, 2.5 + along, 1.5, p.climbed)[0] > LEAST_FACE
+            edge, slope = turned_on(noisy, 0.04, 2.5 + along, 1.5, GraphParams().climbed)
+            assert edge > LEAST_FACE or slope > math.tan(math.radians(12))
+
+
+def turned_on(height: np.ndarray, res: float, x: float, y: float, climbed: float) -> tuple[float, float]:
+    """`turn_ground` of seen ground whose cell [0, 0] is at 0, 0."""
+    seen, faces = np.ones(height.shape, bool), np.zeros((*height.shape, 2), np.int16)
+    update_faces(faces, height, seen, res, 0, 0, *height.shape)
+    found: tuple[float, float] = turn_ground(height, seen, faces, 0.0, 0.0, res, x, y, climbed)
+    return found
+
+
+def test_what_a_turn_meets_is_the_highest_face_of_its_ring_and_the_mean_slope_of_four_quarters() -> None:
+    rng, res, climbed, n = np.random.default_rng(4), 0.04, 0.15, 2
+    y, x = np.mgrid[0:40, 0:40]
+    d = np.hypot(y - 20, x - 20) * res
+    ring = (d >= WHEEL_RING[0]) & (d <= WHEEL_RING[1])
+    some = 0
+    for _ in range(20):
+        a, b = rng.uniform(0.02, 0.3), rng.uniform(-np.pi, np.pi)
+        face = a * ((x - 20) * np.cos(b) + (y - 20) * np.sin(b) > rng.uniform(-6, 6))
+        z = (face + 0.01 * x * rng.uniform(-1, 1) + 0.004 * rng.standard_normal(x.shape)).astype(np.float32)
+        faces = np.zeros((40, 40, 2), np.int16)
+        update_faces(faces, z, np.ones(z.shape, bool), res, 0, 0, 40, 40)
+        size = np.abs(faces).max(axis=2)
+        wall = ndimage.maximum_filter(size, 2 * n + 1) > 1000 * climbed
+        counted = np.sort(size[ring & ~wall & (size >= 1000 * LEAST_FACE)])[::-1]
+        lone = round(LONE_FACES / res**2)
+        edge = 0.001 * counted[lone] if len(counted) > lone else 0.0
+        even, slopes = ring & (size < 1000 * LEAST_FACE), []
+        for quarter in (
+            (y > 20) & (x > 20),
+            (y > 20) & (x <= 20),
+            (y <= 20) & (x > 20),
+            (y <= 20) & (x <= 20),
+        ):
+            at = even & quarter
+            rise = [(np.roll(z, -n, axis) - np.roll(z, n, axis))[at].mean() for axis in (1, 0)]
+            slopes.append(np.hypot(*rise) / (2 * n * res))
+        found = turned_on(z, res, 20 * res, 20 * res, climbed)
+        np.testing.assert_allclose(found, (edge, np.nanmean(slopes)), rtol=1e-4, atol=1e-6)
+        some += edge > 0.0
+    assert 3 < some < 20
 
 
 @pytest.mark.parametrize("res", [0.025, 0.04, 0.05])
@@ -145,8 +188,7 @@ def test_a_wall_beside_a_kerb_does_not_hide_it_and_is_no_edge(res: float) -> Non
             for at in np.arange(1.78, 1.99, 0.01):  # the wall's face anywhere between cells
                 height = np.where((y > at) & (y < at + thick), wall, kerb * (x > 2.0 + 0.4 * (y - 1.5)))
                 noisy = (height + 0.003 * rng.standard_normal(x.shape)).astype(np.float32)
-                ground = noisy, np.ones(x.shape, bool), 0.0, 0.0, res
-                edge, _ = turn_ground(*ground, 2.1, 1.5, p.climbed)
+                edge, _ = turned_on(noisy, res, 2.1, 1.5, p.climbed)
                 if kerb > 0.0:
                     assert edge == pytest.approx(kerb, abs=0.03), "0.5 while the highest edge counted"
                 else:

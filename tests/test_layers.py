@@ -40,9 +40,9 @@ ROOMS: dict[str, str] = {
     "mapping.closing": "hal mapping mapping.elevation mapping.relocalise",
     "planning": "hal",
     "planning.graph": "hal hal.envelope mapping planning",
-    "planning.risk": "hal hal.envelope mapping planning planning.graph",
+    "planning.risk": "hal mapping planning planning.graph",
     # turns are made, and a path backward ends, where the guard would let the robot and hold it: one rule
-    "planning.search": "hal hal.envelope hal.safety mapping planning planning.graph planning.risk",
+    "planning.search": "hal hal.safety mapping planning planning.graph planning.risk",
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "hal mapping planning planning.risk planning.search",
     "planning.tracking": "hal planning",

@@ -1,19 +1,24 @@
-"""`map build`."""
+"""`map build`, and `map close` of the run that goes on."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rbtrg_robot.cli.inspect import map_app
+from rbtrg_robot.scope import NAMED, ROBOT
 from rbtrg_robot.terminal import say, say_json
 
 if TYPE_CHECKING:
-    from rbtrg_robot.hosts.map_build import Built
+    from rbtrg_robot.hosts.map_build import Built, Progress
 
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 NOT_FOUND = 3
 """Exit status: a run is not in the map, because it was not found in those before."""
 
@@ -22,6 +27,7 @@ def register(app: typer.Typer) -> None:
     """Add the command to `map`, which `inspect` adds to the app."""
     del app
     map_app.command("build")(map_build)
+    map_app.command("close")(map_close)
 
 
 def map_build(
@@ -39,28 +45,10 @@ def map_build(
 ) -> None:
     """Make one map of one or more runs whose loops are closed. Exit status 3: a run was not found in those before it
     and is left out."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from rbtrg_robot.hosts.map_build import build
 
-    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
-        tasks: dict[str, Any] = {}
-
-        def progress(what: str, share: float) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=1.0)
-            bar.update(tasks[what], completed=share)
-
-        built = build(
-            runs,
-            out,
-            file=config,
-            sets=set_ or (),
-            drift=drift,
-            progress=progress,
-            say=lambda text: say(f"note: {text}", error=True),
-        )
+    with _progress() as progress:
+        built = build(runs, out, file=config, sets=set_ or (), drift=drift, progress=progress, say=_note)
     if as_json:
         say_json(built.record)
     else:
@@ -90,3 +78,57 @@ def _tell(built: Built, out: Path) -> None:
     say(
         f"{record['known_cells']} known cells -> {out}; {out.with_suffix('.json')}, {out.with_suffix('.png')}"
     )
+
+
+def map_close(
+    out: Annotated[
+        Path | None, typer.Option(help="The map (.npz); default: closed.npz in the run's folder.")
+    ] = None,
+    least: Annotated[
+        float, typer.Option(min=0.0, help="A map that moves less than this [m] is not taken.")
+    ] = 0.1,
+    drift: Annotated[
+        float, typer.Option(help="How many times more than usual the odometry of this run drifts.")
+    ] = 1.0,
+    robot: Robot = ROBOT,
+) -> None:
+    """Close the loops of the map while the stack runs.
+
+    On the robot's computer; the robot stands without a goal. Its log so far becomes a map as by `build`, and the robot
+    goes on with it.
+    """
+    from rbtrg_robot.cli.close import close
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.config import ConfigError
+    from rbtrg_robot.process.runfiles import read_state
+
+    folder = read_state(robot)["log_dir"]
+    if not folder:
+        raise ConfigError("the stack records nothing: start it without `--no-record`")
+    run = Path(folder)
+    with _progress() as progress, connect(robot) as bus:
+        result = close(
+            bus, run, out or run / "closed.npz", least, time.sleep, drift=drift, progress=progress, say=_note
+        )
+    say(result.words)
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Progress]:
+    """A bar for each thing that is done, on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    with Bars(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bars:
+        tasks: dict[str, Any] = {}
+
+        def progress(what: str, share: float) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=1.0)
+            bars.update(tasks[what], completed=share)
+
+        yield progress
+
+
+def _note(text: str) -> None:
+    say(f"note: {text}", error=True)

@@ -22,7 +22,7 @@ from rbtrg_robot.console.terrain import Key, Terrain
 from rbtrg_robot.orders.words import goal_line, robot_line
 from rbtrg_robot.process.events import KEPT as KEPT_EVENTS
 from rbtrg_robot.process.events import plain
-from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.navigation.goal import ACTIVE
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.convert import LayoutError, cloud_points, map_patch, xyz, xyzw
@@ -54,7 +54,6 @@ HEARD: tuple[Topic, ...] = (
     *frames.PLAIN,
 )
 
-ACTIVE = {state.value for state in GoalState if state.active}
 KEPT = (
     *(t.CAMERA_INFO, t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
     *(t.MISSION_ORDER, t.MISSION_STATE, t.EVENTS, t.AREAS),

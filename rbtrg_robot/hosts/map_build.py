@@ -24,7 +24,9 @@ from mapping.elevation.map import ElevationMap
 from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import to_text
 from rbtrg_robot.config import ConfigError, StackConfig
 from rbtrg_robot.hosts.offline import Window, config_of, feed, stages_for
 from rbtrg_robot.log.read import LogError, read_run
@@ -50,6 +52,10 @@ class Built:
     closed: Closed | None = None
     record: dict[str, Any] = field(default_factory=dict)
     """As in the JSON file."""
+    stamp: int = 0
+    """Of the newest scan [ns]."""
+    pose: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) of base_link in `map` then."""
 
 
 class _Reader:
@@ -118,11 +124,12 @@ def build(
     file: Path | None = None,
     sets: Sequence[str] = (),
     drift: float = 1.0,
+    areas: Sequence[msg.GroundArea] = (),
     progress: Progress = lambda _what, _share: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> Built:
     """Write the map of `runs` to `out` (.npz), and beside it what was found (.json) and a picture (.png). The first
-    run's `map` is the map's frame.
+    run's `map` is the map's frame; `areas` are drawn on it.
 
     Where a log holds the deskewed clouds they are used, else odometry runs again on its sweeps. The configuration is
     that of each log, of the elevation map that of the first, changed by `file` and `sets`; drift: see `Closing`. Raises
@@ -149,7 +156,8 @@ def build(
         poses = corrected(recording.scans, closed.keyframes, closed.nodes)
         which = [n for n, scan in enumerate(recording.scans) if scan.run not in closed.lost]
         made = fuse(recording, poses, params, which, lambda share: progress("map", share))
-        made.save(out)
+        made.save(out, to_text(areas))
+        built.stamp, built.pose = recording.scans[which[-1]].stamp, poses[which[-1]]
         built.record = _record(built, closed, closing.graph, recording, poses, made)
         _beside(out, ".json", json.dumps(built.record, indent=1).encode())
         _picture(made, closed, out.with_suffix(".png"))

@@ -36,15 +36,15 @@ class GoalState(StrEnum):
     @property
     def active(self) -> bool:
         """Still being worked on."""
-        return self in _ACTIVE
+        return self in ACTIVE
 
     @property
     def terminal(self) -> bool:
         """Ended."""
-        return self is not GoalState.IDLE and self not in _ACTIVE
+        return self is not GoalState.IDLE and self not in ACTIVE
 
 
-_ACTIVE = (
+ACTIVE = (
     GoalState.ACCEPTED,
     GoalState.PLANNING,
     GoalState.MOVING,

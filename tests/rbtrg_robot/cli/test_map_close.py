@@ -13,21 +13,21 @@ import pytest
 
 from hal.rotation import wrap
 from hal.types import NS, Array
-from mapping.closing.graph import levelled
+from mapping.elevation import ElevationMap
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli import close as map_close
 from rbtrg_robot.cli.close import CloseError, close
+from rbtrg_robot.config import load
+from rbtrg_robot.log.read import CONFIG
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.orders.still import LIMIT, Still
+from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import MAP, ODOM, odometry_msg, rpy_quaternion, transform_msg, yaw_of
 from rbtrg_robot.wire.frames import MapFrame, offset_of
 from rbtrg_robot.wire.messages import header
 from tools.bench.ports import free_endpoint
-from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
-
-STRONG = Drift(bend=math.radians(0.02), climb=0.004)
 
 
 class Stack:
@@ -40,7 +40,7 @@ class Stack:
         self.frame = transform_msg(0, MAP, ODOM, (start[0], start[1], 0.0), rpy_quaternion((0, 0, start[3])))
         self._bus, self._stamp, self._over = bus, stamp - 3 * NS, threading.Event()
         bus.subscribe([t.MAP_PRIOR, t.INITIAL_POSE])
-        for topic in (t.ODOM, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC):
+        for topic in (t.ODOM, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC, t.AREAS):
             bus.advertise(topic)
         self._thread = threading.Thread(target=self._run)
 
@@ -68,6 +68,7 @@ class Stack:
             self._bus.publish(t.ODOM, self._odom(), self._stamp)
             status = msg.MapStatus(header=header(self._stamp, MAP), epoch=self.epoch, prior=self.prior)
             self._bus.publish(t.MAP_STATUS, status, self._stamp)
+            self._bus.publish(t.AREAS, msg.Areas(areas=[msg.GroundArea()]), self._stamp)
             state = "moving" if self.goal else "reached"
             self._bus.publish(t.GOAL_STATUS, msg.GoalStatus(id=self.goal, state=state), self._stamp)
             self._bus.publish(t.TF_STATIC, msg.TFMessage(transforms=[self.frame]), self._stamp)
@@ -83,30 +84,24 @@ class Stack:
                     self.frame = transform_msg(0, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw)))
 
 
-@pytest.fixture(scope="module")
-def drive() -> Drive:
-    scene, corners = ring(half=(5.0, 3.5))
-    way = way_through(scene, corners, step=0.5)
-    truth = np.concatenate([way, np.repeat(way[-1:], 3, axis=0)])  # it stands at last
-    return Drive(scene, truth, drifted(truth, STRONG, 3))
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory, drive: Drive) -> Path:
-    folder = tmp_path_factory.mktemp("run")
-    write_log(folder / "run.mcap", drive, ("elevation.resolution=0.08",))
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run's folder."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / CONFIG).write_text(load(None, (), scene="flat").to_yaml())
+    with LogWriter(folder / "run.mcap", {}, {CONFIG: load(None, (), scene="flat").to_yaml().encode()}):
+        pass
     return folder
 
 
 @pytest.fixture
-def stack(run: Path, drive: Drive) -> Iterator[tuple[Stack, Bus]]:
+def stack() -> Iterator[tuple[Stack, Bus]]:
     endpoint = free_endpoint()
-    *_, (stamp, pose, _) = drive.sweeps()
-    start = levelled(drive.truth[0])
     with (
         Bus(endpoint, "elevation", router=True) as there,
         Bus(endpoint, "cli") as bus,
-        Stack(there, levelled(pose), start, stamp) as played,
+        Stack(there, np.array([9.0, 2.0, 0.0, 1.0]), np.array([-6.5, -5.0, 0.0, 0.0]), 100 * NS) as played,
     ):
         yield played, bus
 
@@ -118,20 +113,35 @@ def flushed(run: Path) -> None:
 
 
 def test_the_robot_goes_on_with_a_map_whose_loops_are_closed(
-    run: Path, drive: Drive, stack: tuple[Stack, Bus], tmp_path: Path
+    run: Path, stack: tuple[Stack, Bus], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     played, bus = stack
-    truth = levelled(drive.truth[-1])
+    pose = np.eye(4)
+    pose[:2, :2] = [[math.cos(1.1), -math.sin(1.1)], [math.sin(1.1), math.cos(1.1)]]
+    pose[:3, 3] = 2.3, -3.2, 0.4
+
+    def built(runs: list[Path], out: Path, *, areas: list[msg.GroundArea], **_: object) -> map_close.Built:
+        assert runs == [run]
+        assert len(areas) == 1, "what was drawn stays"
+        elevation = ElevationMap()
+        wheels = np.array([[0.2, -0.2, 0.0], [0.2, 0.2, 0.0], [-0.2, -0.2, 0.0], [-0.2, 0.2, 0.0]])
+        elevation.fuse_ground(wheels, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1)
+        elevation.save(out)
+        return map_close.Built(record={"closed": [{}, {}], "moved_m": 0.4}, stamp=10**12, pose=pose)
+
+    monkeypatch.setattr(map_close, "build", built)
+    out = tmp_path / "closed.npz"
+    result = close(bus, run, out, 0.1, lambda _: flushed(run))
+    assert result.loaded
+    assert result.words.startswith(
+        "2 loops closed, the map moved by up to 0.40 m; the robot stands at x 2.30 y -3.20"
+    )
+    assert (played.epoch, played.prior) == (2, fingerprint(str(out)))
     x, y, yaw = played.in_map()
-    before = math.dist((x, y), truth[:2])
-    result = close(bus, run, tmp_path / "closed.npz", 0.1, lambda _: flushed(run), drift=6.0)
-    assert result.loaded, result.words
-    assert "loops closed" in result.words
-    assert played.epoch == 2
-    x, y, yaw = played.in_map()
-    assert before > 0.15
-    assert math.dist((x, y), truth[:2]) < 0.5 * before
-    assert abs(wrap(yaw - truth[3])) < math.radians(0.6)
+    assert (x, y) == pytest.approx((2.3, -3.2), abs=0.01)
+    assert abs(wrap(yaw - 1.1)) < 0.01
+    again = close(bus, run, out, 0.1, lambda _: flushed(run))
+    assert again.loaded, "the map that it made itself is no prior map of somebody"
 
 
 def test_a_robot_that_cannot_stand_still_or_has_a_prior_map_keeps_its_map(

@@ -14,9 +14,8 @@ import pytest
 
 from mapping.relocalise import Submap
 from mapping.relocalise.door import FinderError, OwnFinder
-from planning.baselines import door
 from planning.errors import NoRoute, PlanningError
-from planning.search import PlanRequest
+from planning.search import PlanRequest, door
 from planning.tracking.door import OwnTracker
 from planning.tracking.types import TrackerConfig, TrackPhase
 from rbtrg_robot.config import ConfigError, load

@@ -44,7 +44,6 @@ ROOMS: dict[str, str] = {
     # turns are made, and a path backward ends, where the guard would let the robot and hold it: one rule
     "planning.search": "hal hal.safety mapping planning planning.graph planning.risk",
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
-    "planning.baselines": "hal mapping planning planning.risk planning.search",
     "planning.tracking": "hal planning",
     "rbtrg_robot": "hal hal.envelope hal.robots hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree "
     "mapping mapping.elevation mapping.odometry "
@@ -57,7 +56,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.stages": "hal hal.robots hal.safety hal.safety.monitors mapping "
-    "mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines planning.graph "
+    "mapping.elevation mapping.odometry mapping.relocalise planning planning.graph "
     "planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
@@ -78,7 +77,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts "
     "rbtrg_robot.process",
     "rbtrg_robot.cli": "hal hal.robots.check hal.robots hal.mujoco.view hal.scenes hal.unitree "
-    "mapping.elevation planning.baselines rbtrg_robot "
+    "mapping.elevation planning.search rbtrg_robot "
     "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions "
     "rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts "
     "rbtrg_robot.process "

@@ -158,7 +158,7 @@ def refuse_second(robot: str) -> None:
 
 def _check(config: StackConfig) -> None:
     """Fail now, in one line, on what would fail in a child."""
-    from planning.baselines.door import OURS, planner_of
+    from planning.search.door import OURS, planner_of
 
     if config.network.listen:
         from rbtrg_robot.access.serve import security

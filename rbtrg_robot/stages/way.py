@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hal.types import NS
-from planning.baselines.door import OURS, Planner, planner_of
 from planning.errors import NoRoute, NoRouteReason
 from planning.path import (
     Path,
@@ -22,6 +21,7 @@ from planning.path import (
     rest_of,
 )
 from planning.risk.body import BodyModel
+from planning.search.door import OURS, Planner, planner_of
 from planning.search.explain import with_chance
 from planning.search.frontier import Tried
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.baselines.door import as_plan
 from planning.errors import NoRoute, NoRouteReason
 from planning.search import Plan, PlanRequest
+from planning.search.door import as_plan
 from tools.baselines.art.contact import all_valid, way_is_valid
 from tools.baselines.art.layers import Layers, density, layers
 from tools.baselines.art.params import ArtParams

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from mapping.grid import ElevationGrid
-from planning.baselines.door import as_plan
 from planning.errors import NoRoute, NoRouteReason
 from planning.search import Plan, PlanRequest
+from planning.search.door import as_plan
 from tools.baselines.route import places
 from tools.baselines.t_hybrid.params import THybridParams
 from tools.baselines.t_hybrid.search import EXHAUSTED, FOUND, HEADINGS, risk_at, search

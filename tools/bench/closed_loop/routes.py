@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from hal.robots import describe
 from hal.scenes import Scene, load_scene
-from planning.baselines.door import planner_of
 from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits, make_path, smooth_route
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search import DriveRules, Plan, PlanRequest, plan
+from planning.search.door import planner_of
 from planning.search.endpoints import snapped
 from rbtrg_robot.stage_config import GraphConfig, PlannerConfig
 from tools.bench.closed_loop.protocol import BASELINES, FACE, SHARED, SPEED

@@ -1,1 +1,0 @@
-"""Planners of others in the place of ours."""

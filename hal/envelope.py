@@ -2,8 +2,9 @@
 
 A `Table` holds what was counted: trials and failures over a grid of sizes and angles. `Fit` is the model of one table,
 a logistic regression whose parts grow with height, angle and steepness and which knows no harm on flat ground. Its mean
-tells what a motion costs, its bound at 80 % what is no way. `tools.bench envelope --write` makes the files; no number
-in them is typed by hand.
+tells what a motion costs, its bound at 80 % what is no way. A file holds tables of our model of the robot, and of
+others that it was driven in: the worst counts. `tools.bench envelope --write` makes the files; no number in them is
+typed by hand.
 
     envelope = stored("hybrid")
     envelope.hazard("up", height, angle, slope)      # -ln(1 - p); infinite where there is no way
@@ -13,6 +14,7 @@ Metres and radians throughout; the file and `Axis.values` have degrees where the
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable
@@ -275,13 +277,11 @@ def _hazard(base: float, weights: Array, parts: Array) -> Array:
 
 
 # --- envelope ------------------------------------------------------------------------------------------------------
-class Envelope(BaseModel):
-    """Everything that was measured of one controller."""
+class Counted(BaseModel):
+    """What was counted of one controller in one model of its robot, or on the robot itself."""
 
     model_config = _CHECKED
 
-    robot: str
-    controller: str
     physics: str
     """What it was measured in: simulator with version, or the real robot."""
     date: str = Field(pattern=r"^\d{4}-\d{2}-\d{2}$")
@@ -291,7 +291,7 @@ class Envelope(BaseModel):
     manoeuvres: dict[str, Table]
 
     @model_validator(mode="after")
-    def _known(self) -> Envelope:
+    def _known(self) -> Counted:
         unknown = [name for name in self.manoeuvres if name not in PARTS]
         if unknown:
             raise ValueError(f"no manoeuvre is called {', '.join(unknown)}; there are {', '.join(PARTS)}")
@@ -309,14 +309,6 @@ class Envelope(BaseModel):
         """The same at `CONFIDENCE`, by which it is a way. One beyond what was tested, but where there is nothing."""
         p = self._probability(name, values, bound=True)
         return np.where(self.tested(name, *values) | (p == 0.0), p, 1.0)
-
-    def hazard(self, name: str, *values: ArrayLike) -> Array:
-        """-ln(1 - p) of one unit; infinite where it is no way: `bound` above `MAX_RISK`.
-
-        `FALL_COST` times it is the price [m].
-        """
-        h = -np.log1p(-np.minimum(self.mean(name, *values), 1.0 - 1e-9))
-        return np.where(self.bound(name, *values) > MAX_RISK, np.inf, h)
 
     def tested(self, name: str, *values: ArrayLike) -> NDArray[np.bool_]:
         """Whether no value is beyond the largest one that was tried. Of speed, the least counts."""
@@ -337,10 +329,49 @@ class Envelope(BaseModel):
         model = self._fits[name]
         return -np.expm1(-(model.bound(parts) if bound else model.mean(parts)))
 
+
+class Envelope(Counted):
+    """Everything that was measured of one controller: in our model of the robot, and in those of others.
+
+    What is believed of a motion is the worst of the models it was tried in."""
+
+    robot: str
+    controller: str
+    elsewhere: dict[str, Counted] = {}
+    """By the name of another model."""
+
+    def tables(self, name: str) -> list[Table]:
+        """Of one manoeuvre, in every model it was tried in."""
+        return [counted.manoeuvres[name] for counted in self._models(name)]
+
+    def mean(self, name: str, *values: ArrayLike) -> Array:
+        """As of `Counted`, in the worst model."""
+        return self._worst(Counted.mean, name, values)
+
+    def bound(self, name: str, *values: ArrayLike) -> Array:
+        """As of `Counted`, in the worst model."""
+        return self._worst(Counted.bound, name, values)
+
+    def hazard(self, name: str, *values: ArrayLike) -> Array:
+        """-ln(1 - p) of one unit; infinite where it is no way: `bound` above `MAX_RISK`.
+
+        `FALL_COST` times it is the price [m].
+        """
+        h = -np.log1p(-np.minimum(self.mean(name, *values), 1.0 - 1e-9))
+        return np.where(self.bound(name, *values) > MAX_RISK, np.inf, h)
+
+    def _models(self, name: str) -> list[Counted]:
+        return [counted for counted in (self, *self.elsewhere.values()) if name in counted.manoeuvres]
+
+    def _worst(self, of: Callable[..., Array], name: str, values: tuple[ArrayLike, ...]) -> Array:
+        worst: Array = np.max([of(counted, name, *values) for counted in self._models(name)], axis=0)
+        return worst
+
     def write(self, path: Path) -> None:
         """As JSON, a line for each cell."""
-        text = self.model_dump_json(indent=1, exclude_defaults=True)
-        path.write_text(_compact(text) + "\n")
+        values = self.model_dump(mode="json", exclude_defaults=True)
+        who = {key: values.pop(key) for key in ("robot", "controller")}
+        path.write_text(_compact(json.dumps(who | values, indent=1)) + "\n")
 
 
 def fit(name: str, table: Table) -> Fit:

@@ -104,7 +104,7 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float)
     if controller is None or fall_cost == 0.0:
         return free(axle, tread)
     envelope = stored(controller)
-    share = {name: ending(table) for name, table in envelope.manoeuvres.items()}
+    share = {name: ending(*envelope.tables(name)) for name in envelope.manoeuvres}
     size = np.arange(SIZES) * SIZE_STEP
     angle = np.arange(ANGLES) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
@@ -154,11 +154,16 @@ def hazards(
     return np.asarray(-np.log1p(-share * np.minimum(p, 1.0 - 1e-9)))
 
 
-def ending(table: Table) -> float:
-    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys)."""
-    first = len(table.axes) + 1
-    each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
-    return (sum(each[kind] for kind in ENDING) + 0.5) / (sum(each.values()) + 1.0)
+def ending(*tables: Table) -> float:
+    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys); the largest
+    of several models' tables."""
+
+    def share(table: Table) -> float:
+        first = len(table.axes) + 1
+        each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
+        return (sum(each[kind] for kind in ENDING) + 0.5) / (sum(each.values()) + 1.0)
+
+    return max(share(table) for table in tables)
 
 
 @njit(cache=True)

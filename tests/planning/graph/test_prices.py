@@ -92,7 +92,7 @@ def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: s
     envelope, prices = stored(controller), prices_of(GraphParams(controller=controller))
 
     def hazard(name: str, *values: float) -> float:
-        share = ending(envelope.manoeuvres[name])
+        share = ending(*envelope.tables(name))
         return 100.0 * float(hazards(envelope, name, 0.01, *values, share=share))
 
     i, j = size_at(0.152), angle_at(np.radians(-31.0))

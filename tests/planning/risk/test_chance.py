@@ -58,7 +58,7 @@ def test_a_kerb_is_one_crossing_at_its_angle(
     envelope: Envelope, height: float, name: str, degrees: int
 ) -> None:
     found = drive(ground(kerb(height, math.radians(degrees))))
-    share = ending(envelope.manoeuvres[name])
+    share = ending(*envelope.tables(name))
     low, high = (
         float(
             hazards(envelope, name, MAP_SIGMA, 0.16 + d, math.radians(max(0, degrees + a)), 0.0, share=share)
@@ -91,7 +91,7 @@ def test_even_ground_and_gentle_ramps_fail_hardly_ever() -> None:
 def test_stairs_are_risers_not_a_slope_or_kerbs(envelope: Envelope) -> None:
     grid = ground(lambda x, y: 0.15 * np.clip(np.floor((x - 2.0) / 0.32) + 1.0, 0.0, 4.0), noise=0.0)
     found = drive(grid)
-    share = ending(envelope.manoeuvres["stairs_up"])
+    share = ending(*envelope.tables("stairs_up"))
     each = float(hazards(envelope, "stairs_up", MAP_SIGMA, 0.15, 0.32, 0.0, share=share))
     assert hazard(found) == pytest.approx(4.0 * each, rel=0.3)
     assert found.worst.startswith("up stairs of 0.15 m at x ")
@@ -102,7 +102,7 @@ def test_a_turn_on_the_spot_counts_what_lies_under_its_wheels(envelope: Envelope
     far = np.array([(1.0, 2.0), (1.6, 2.0), (1.6, 3.5)])
     astride, away = (drive(ground(kerb(0.10)), xy) for xy in (corner, far))
     assert astride.worst == "a turn of 90 deg over a 0.10 m face at x 2.5 y 2.0"
-    share = ending(envelope.manoeuvres["spin"])
+    share = ending(*envelope.tables("spin"))
     radian = float(hazards(envelope, "spin", MAP_SIGMA, 0.10, 0.0, 1.0, share=share))
     assert hazard(astride) == pytest.approx(0.5 * math.pi * radian, rel=0.25)
     assert away.p_fail < 1e-3

@@ -3,10 +3,13 @@
     python -m tools.bench envelope --controller vmc [--only BEGINNING_OF_KEY] [--json]
     python -m tools.bench envelope --controller policy --policy DIR
     python -m tools.bench envelope --controller hybrid --write [--seconds BUDGET] [--only up]
+    python -m tools.bench envelope --controller hybrid --model MJCF [--write]
 
     python -m tools.bench envelope --controller sport --write
 
 With `--write` it counts failures of motions (docs/design/envelope.md) and adds the trials to the controller's file.
+With `--model` it drives the courses in somebody else's MJCF of the same robot, beside ours (`hal.mujoco.mjcf`); with
+`--write` its counts stand in the file beside ours, and the worse of both count.
 Nobody measured the vendor's service (`sport`): its file is made from that of `ASSUMED_FROM`, and says so.
 
 A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at
@@ -23,8 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.envelope import FAILURES, PARTS, SPORT, Envelope, limits, stored
+from hal.envelope import FAILURES, PARTS, SPORT, Counted, Envelope, limits, stored
 from hal.lowlevel import Locomotion
+from hal.mujoco.mjcf import Foreign
+from hal.mujoco.robot import Simulated
 from hal.robots import DEFAULT, describe
 from tools.bench.envelope.asked import (
     BACK,
@@ -90,6 +95,9 @@ def run(args: list[str]) -> Report:
     parser.add_argument(
         "--file", type=Path, default=None, help="that `--write` adds to; else the controller's own"
     )
+    parser.add_argument(
+        "--model", type=Path, default=None, help="another MJCF of the robot, or the folder of one"
+    )
     options = parser.parse_args(args)
     robot = describe(options.robot_model)
     if options.controller not in robot.controllers:
@@ -103,6 +111,7 @@ def run(args: list[str]) -> Report:
         envelope.write(options.file or robot.envelope_file(SPORT))
         return counted(envelope)
     controller: Locomotion = robot.model().controller(options.controller, options.policy, DT)
+    foreign = Foreign(options.model, robot.model()) if options.model else None
     if robot.name != DEFAULT and not options.write:
         parser.error(f"courses are those of {DEFAULT}: with {robot.name} use --write")
     if options.write:
@@ -115,29 +124,41 @@ def run(args: list[str]) -> Report:
             drives=options.drives,
             seed=options.seed,
             only=options.only,
+            foreign=foreign,
         )
         if options.picture:
             draw(envelope, options.picture)
         return counted(envelope)
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
-    bench.courses()
-    bench.conditions()
-    bench.faces()
-    bench.lanes()
-    bench.edges_and_turns()
-    bench.responses()
-    bench.driving()
+    if foreign:
+        bench.both(foreign)
+    else:
+        bench.courses()
+        bench.conditions()
+        bench.faces()
+        bench.lanes()
+        bench.edges_and_turns()
+        bench.responses()
+        bench.driving()
     if not bench.report.rows:
         parser.error(f"no row begins with {options.only!r}")
     return bench.report
 
 
 def counted(envelope: Envelope) -> Report:
-    """What stands in an envelope: drives, trials, failures of each kind, how well the fit predicts, and the limits read
-    off it."""
+    """What stands in an envelope: drives, trials, failures of each kind, how well the fit predicts, in each model; and
+    the limits read off it."""
     report = Report("envelope")
-    for name, table in envelope.manoeuvres.items():
-        key = f"{{}}.{envelope.controller}.{name}"
+    models: dict[str, Counted] = {
+        "": envelope,
+        **{f"@{name}": counted for name, counted in envelope.elsewhere.items()},
+    }
+    for where, name, table in (
+        (where, name, table)
+        for where, counted in models.items()
+        for name, table in counted.manoeuvres.items()
+    ):
+        key = f"{{}}.{envelope.controller}{where}.{name}"
         report.add(key.format("drives"), table.drives, "drives")
         report.add(key.format("trials"), int(table.trials.sum()), f"of one {table.per}")
         for k, kind in enumerate(FAILURES):
@@ -171,8 +192,20 @@ class _Bench:
         """A limit that binds our own controller only: the policy is measured, not ours to tune."""
         return value if self.name == "vmc" else None
 
-    def _passed(self, course: str, conditions: Conditions | None = None) -> int:
-        return sum(drive(self.controller, course, k, conditions).passed for k in range(len(RUNS)))
+    def _passed(
+        self, course: str, conditions: Conditions | None = None, robot: Simulated | None = None
+    ) -> int:
+        return sum(drive(self.controller, course, k, conditions, robot).passed for k in range(len(RUNS)))
+
+    def both(self, foreign: Foreign) -> None:
+        """Every course of `REFERENCE` in another model, with our model for a baseline."""
+        for kind, sizes in REFERENCE.items():
+            for size, _ in sizes:
+                course = f"{kind}_{size}"
+                if f"envelope.{self.name}.{course}".startswith(self.only):
+                    ours, there = self._passed(course), self._passed(course, robot=foreign)
+                    key = f"envelope.{self.name}@{foreign.name}.{course}"
+                    self.report.add(key, there, "of 3", baseline=ours)
 
     def courses(self) -> None:
         """Every course of `REFERENCE`; when all are driven, also how those fare that gains were or were not chosen

@@ -15,8 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.envelope import FAILURES, MAX_RISK, PARTS, SPORT, Axis, Envelope, Fit, Table, read
+from hal.envelope import FAILURES, MAX_RISK, PARTS, SPORT, Axis, Counted, Envelope, Fit, Table, read
 from hal.lowlevel import Locomotion
+from hal.mujoco.mjcf import Foreign
+from hal.mujoco.robot import Simulated
 from hal.robots import Robot
 from hal.types import Array
 from tools.bench.envelope.manoeuvres import DRAWN, MANOEUVRES, attempt
@@ -201,16 +203,31 @@ def measure(
     drives: int | None = None,
     seed: int = 0,
     only: str = "",
+    foreign: Foreign | None = None,
 ) -> Envelope:
     """Add trials to the file at `path` for `seconds` of wall time, or so many drives; starts it where there is none.
+    `foreign`: in that model instead of ours, once there is a file.
 
     Which trial comes next depends on the counts and `seed` alone, so a file that is interrupted and gone on with is the
     same.
     `only`: the beginning of the manoeuvres' names. Raises EnvelopeError for a damaged file.
     """
-    model = robot.model()
-    old = read(path).manoeuvres if path.exists() else {}
-    tallies = {m: Tally.of(m, old[m]) if m in old else Tally(m) for m in GRID}
+    old = read(path) if path.exists() or foreign else None
+    before: Counted | None = old.elsewhere.get(foreign.name) if old and foreign else old
+    tables = before.manoeuvres if before else {}
+    tallies = {m: Tally.of(m, tables[m]) if m in tables else Tally(m) for m in GRID}
+
+    def keep(judged: bool) -> Envelope:
+        counted = _counted(tallies, foreign.name if foreign else "hal.mujoco", judged)
+        if old and foreign:
+            envelope = old.model_copy(update={"elsewhere": {**old.elsewhere, foreign.name: counted}})
+        else:
+            others = old.elsewhere if old else {}
+            envelope = Envelope(robot=robot.name, controller=name, elsewhere=others, **dict(counted))
+        envelope.write(path)
+        return envelope
+
+    model: Simulated = foreign or robot.model()
     chosen = [m for m in GRID if m.startswith(only)]
     began = kept = time.monotonic()
     driven = 0
@@ -225,11 +242,9 @@ def measure(
         tally.add(cell, end.units, end.failure)
         driven += 1
         if time.monotonic() - kept > KEEP_EVERY:
-            _envelope(robot.name, name, tallies, judged=False).write(path)
+            keep(judged=False)
             kept = time.monotonic()
-    envelope = _envelope(robot.name, name, tallies)
-    envelope.write(path)
-    return envelope
+    return keep(judged=True)
 
 
 def assumed(measured: Envelope) -> Envelope:
@@ -242,16 +257,27 @@ def assumed(measured: Envelope) -> Envelope:
         f"counts of the {measured.controller} controller on the simulated robot ({measured.date}, "
         f"{measured.commit}); no trial on the real one"
     )
-    tables = {name: table.model_copy(update={"assumed": why}) for name, table in measured.manoeuvres.items()}
-    update = {"controller": SPORT, "physics": f"none; assumed from {measured.physics}", "manoeuvres": tables}
-    return measured.model_copy(update=update)
+
+    def mark(counted: Counted) -> dict[str, Table]:
+        return {name: table.model_copy(update={"assumed": why}) for name, table in counted.manoeuvres.items()}
+
+    elsewhere = {
+        name: counted.model_copy(update={"manoeuvres": mark(counted)})
+        for name, counted in measured.elsewhere.items()
+    }
+    return measured.model_copy(
+        update={
+            "controller": SPORT,
+            "physics": f"none; assumed from {measured.physics}",
+            "manoeuvres": mark(measured),
+            "elsewhere": elsewhere,
+        }
+    )
 
 
-def _envelope(robot: str, name: str, tallies: dict[str, Tally], judged: bool = True) -> Envelope:
-    return Envelope(
-        robot=robot,
-        controller=name,
-        physics=f"hal.mujoco on MuJoCo {mujoco.__version__}, steps of 5 ms",
+def _counted(tallies: dict[str, Tally], model: str, judged: bool) -> Counted:
+    return Counted(
+        physics=f"{model} on MuJoCo {mujoco.__version__}, steps of 5 ms",
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         commit=_commit(),
         drawn=DRAWN,

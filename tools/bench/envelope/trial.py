@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.driver import Driver
+from hal.mujoco.robot import Simulated
 from hal.mujoco.sim import Simulation
 from tools.bench.envelope.terrain import RESOLUTION, course
 
@@ -79,8 +80,15 @@ def steering(aside: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
     return np.clip(2.0 * off, -0.8, 0.8)
 
 
-def drive(controller: Locomotion, name: str, run: int, conditions: Conditions | None = None) -> Outcome:
-    """Drive course `name` along y = 0, steered by the true pose, every course by the same law."""
+def drive(
+    controller: Locomotion,
+    name: str,
+    run: int,
+    conditions: Conditions | None = None,
+    robot: Simulated | None = None,
+) -> Outcome:
+    """Drive course `name` along y = 0, steered by the true pose, every course by the same law. `robot`: None takes the
+    default one."""
     c = conditions or Conditions()
     ground = course(name, run)
     friction, (x0, y0, yaw0) = RUNS[run]
@@ -92,6 +100,7 @@ def drive(controller: Locomotion, name: str, run: int, conditions: Conditions | 
         timestep=DT,
         payload=c.payload,
         command_delay=c.delay,
+        robot=robot,
     )
     sim.reset(x0, y0, yaw0)
     rng = np.random.default_rng(run)

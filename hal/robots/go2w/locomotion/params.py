@@ -38,10 +38,12 @@ class VmcParams(NamedTuple):
     leg_kp: float = 110.0
     """Hip and thigh position gain [Nm/rad], closed in the motor: holds the wheels under the trunk."""
     leg_kd: float = 6.0
-    """Damping of hip and thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
-    halt_kd: float = 20.0
-    """The same for the hips of a robot that is told to stand: a robot that brakes in a curve sways. In turns it would
-    cost a tenth of the rate."""
+    """Damping of the thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
+    hip_kd: float = 4.0
+    """Of the hip. With 6 it rings where the motor's law is computed every 5 ms, as in the vendor's simulator."""
+    halt_sway: float = 30.0
+    """Rate [1/s] at which a robot that is told to stand brakes its sideways motion: after a curve it sways. In turns it
+    would cost yaw rate."""
     calf_kd: float = 2.0
     calf_share: float = 1.0
     """Share of the calf in holding a wheel's place; 1 makes that force horizontal."""

@@ -123,6 +123,7 @@ def vmc_tick(
     spin = np.empty(4)
     rolled = np.empty(4)
     rise = 0.0
+    sway = 0.0
     total = 0.0
     for leg in range(4):
         for axis in range(3):
@@ -137,8 +138,10 @@ def vmc_tick(
         spin[leg] = dq[3 * leg + 1] + dq[3 * leg + 2] + pitch_rate
         total += weight[leg]
         rise -= weight[leg] * velocity[leg, 2]
+        sway -= weight[leg] * velocity[leg, 1]
         rolled[leg] = WHEEL_RADIUS * (dq[12 + leg] + spin[leg]) * forward[leg, 0] - velocity[leg, 0]
     rise /= total
+    sway /= total
     speed = learn_friction(m, tau, axles, rolled, weight, dt)
     m.speed += dt / (dt + 0.03) * (speed - m.speed)
 
@@ -165,6 +168,8 @@ def vmc_tick(
         m.vx = slew(m.vx, wanted, (p.decel if slower else p.accel) * dt)
         m.wz = slew(m.wz, share * command[1], (1.5 if halt else 1.0) * p.alpha * dt)
         push[0] += (m.vx - before_vx) / dt
+    if halt:
+        push[1] -= p.halt_sway * sway
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
     ground_roll = math.atan(m.slope_y)
@@ -292,9 +297,7 @@ def vmc_tick(
             out[OUT_Q, i] = q[i] + delta
             out[OUT_DQ, i] = inv[joint, 0] * (m.shift_rate[0] + rate_x) + inv[joint, 1] * m.shift_rate[1]
             out[OUT_KP, i] = p.swing_kp if leg == lifted else (0.0 if joint == 2 else p.leg_kp)
-            out[OUT_KD, i] = p.calf_kd if joint == 2 else p.leg_kd
-            if joint == 0 and halt:
-                out[OUT_KD, i] = p.halt_kd
+            out[OUT_KD, i] = p.calf_kd if joint == 2 else (p.leg_kd if joint == 1 else p.hip_kd)
         if leg != lifted:
             # The thigh's spring alone would push along the calf, mostly upwards; the calf's share makes its force
             # horizontal.

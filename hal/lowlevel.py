@@ -6,7 +6,7 @@ RL."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from hal.types import Array, PostureCommand, VelocityCommand
 
@@ -56,3 +56,24 @@ class Locomotion(Protocol):
 
     def warning(self) -> str:
         """Why it does not drive as commanded, in words for the operator; empty when it does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """The ground around a robot, as its map has it."""
+
+    above: Array
+    """(m,) base_link above the ground [m] at the places that were asked for; NaN: not known."""
+    lacks: str
+    """Why it is not known, in words; empty where it is."""
+
+
+@runtime_checkable
+class Sighted(Protocol):
+    """A controller that wants to see the ground, and a backend that passes it on."""
+
+    places: Array
+    """(m, 2) where [m] in the heading frame about base_link: x forward, y left; none for a blind one."""
+
+    def see(self, ground: Ground) -> None:
+        """Until the next call. What is not known counts as the controller says."""

@@ -12,7 +12,7 @@ from hal.contract import BackendError
 from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.config import LidarConfig
 from hal.lidar.simulator import LidarSimulator
-from hal.lowlevel import Locomotion
+from hal.lowlevel import Ground, Locomotion, Sighted
 from hal.mujoco.config import Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.people import SIZE, People
@@ -93,6 +93,8 @@ class MujocoBackend:
             lidars=tuple(lidar.mounted() for lidar in lidars),
         )
         self.controller: Locomotion = model.controller(controller, policy_dir, period)
+        self.places = self.controller.places if isinstance(self.controller, Sighted) else np.empty((0, 2))
+        """(m, 2), see `hal.lowlevel.Sighted`."""
         self._control_steps = max(1, round(self.controller.period * NS / self._dt))
         draw = np.random.default_rng(np.random.SeedSequence([seed, 0xF12]))
         self.friction = (
@@ -175,6 +177,11 @@ class MujocoBackend:
         """Start a transition; see `hal.postures.modes`."""
         self._check_connected()
         self._modes.request(mode)
+
+    def see(self, ground: Ground) -> None:
+        """The ground at `places`, for the controller."""
+        if isinstance(self.controller, Sighted):
+            self.controller.see(ground)
 
     def state(self) -> RobotState:
         """Newest summary state."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
-from hal.lowlevel import Locomotion, LowState
+import numpy as np
+
+from hal.lowlevel import Ground, Locomotion, LowState, Sighted
 from hal.mujoco.attitude import AttitudeFilter
 from hal.mujoco.sim import Simulation
-from hal.types import PostureCommand, VelocityCommand
+from hal.types import Array, PostureCommand, VelocityCommand
 
 
 class Driver:
@@ -38,6 +41,8 @@ class Driver:
         """One physics step under a forward speed [m/s] and a yaw rate [rad/s]."""
         state = self.simulation.low_state()
         self._attitude.measure(state)
+        if isinstance(self.controller, Sighted) and len(self.controller.places):
+            self.controller.see(self._ground(self.controller.places))
         if self._tick % self._every == 0:
             if self.sense is not None:
                 state = self.sense(state)
@@ -45,6 +50,14 @@ class Driver:
             self.simulation.apply(self.controller.step(state, command, self._posture))
         self.simulation.step()
         self._tick += 1
+
+    def _ground(self, places: Array) -> Ground:
+        """As exact as the state: what a map without errors would show."""
+        sim = self.simulation
+        x, y, z = sim.position.tolist()
+        c, s = math.cos(sim.yaw), math.sin(sim.yaw)
+        above = [z - sim.ground(x + c * a - s * b, y + s * a + c * b) for a, b in places.tolist()]
+        return Ground(np.array(above), "")
 
     def settle(self, seconds: float) -> None:
         """Stand under zero velocity for `seconds`: the learnt policy holds its joints after 0.6 s of it."""

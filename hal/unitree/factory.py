@@ -43,8 +43,8 @@ def make_backend(
 ) -> Backend:
     """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given.
 
-    controller, policy: of level low, see `hal.robots.go2w.locomotion.controllers`. Raises MissingExtra, or
-    BackendError for an unusable interface."""
+    controller, policy: of level low, see `hal.robots.go2w.locomotion.controllers`. Raises MissingExtra,
+    BackendError for an unusable interface, or PolicyError."""
     check(interface)
     from hal.unitree.config import UnitreeConfig
 
@@ -53,8 +53,10 @@ def make_backend(
     if options.level == "low":
         if dry_run:
             raise BackendError("a dry run listens to the sport service: unitree.level=sport", retry=False)
+        from hal.robots.go2w.locomotion.controllers import check as check_controller
         from hal.unitree.low.backend import LowLevelBackend
 
+        check_controller(controller, policy, blind=True)
         return LowLevelBackend(interface, domain, options, controller, policy, clock=clock)
     from hal.unitree.backend import UnitreeBackend
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hal.contract import UP, Backend
 from hal.limbs import WHEELS
+from hal.lowlevel import Sighted
 from hal.robots import Robot, describe
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate
 from hal.safety.gate_types import MotionLimits
@@ -37,6 +38,7 @@ from rbtrg_robot.areas import fence_of
 from rbtrg_robot.config import GUARD
 from rbtrg_robot.stages.command_path import CommandPath
 from rbtrg_robot.stages.feeling import Feeling
+from rbtrg_robot.stages.sight import Sight
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
@@ -63,7 +65,7 @@ class RobotStage:
     state, and the simulator's clock and truth. It decides whether a velocity or a tilt reaches the robot. It never
     makes one of its own."""
 
-    inputs = (
+    inputs: tuple[Topic, ...] = (
         t.CMD_VEL,
         t.TRUNK,
         t.TELEOP,
@@ -105,6 +107,9 @@ class RobotStage:
         self._pose: msg.Odometry | None = None
         self._astray = False
         """Odometry says that it is lost: its velocity tells nothing, the wheels and the gyro do."""
+        self._sight = Sight(backend.places) if isinstance(backend, Sighted) and len(backend.places) else None
+        if self._sight is not None:
+            self.inputs = (*RobotStage.inputs, t.MAP_WINDOW, t.MAP_STATUS)
         self._feeling = Feeling(robot.limbs, robot.body)
         self._limits: dict[str, MotionLimits] = {}
         """The newest of each sender: a guard that was started anew is another one than before."""
@@ -171,7 +176,14 @@ class RobotStage:
         elif t.ODOM_HEALTH.carried(message, topic):
             self._astray = message.health == Health.LOST
         elif t.TF_STATIC.carried(message, topic):
-            self._frame.take(message)
+            if self._frame.take(message) and self._sight is not None:
+                self._sight.forget()
+        elif t.MAP_WINDOW.carried(message, topic):
+            if self._sight is not None:
+                self._sight.window(message)
+        elif t.MAP_STATUS.carried(message, topic):
+            if self._sight is not None:
+                self._sight.status(message)
         elif t.MOTION_LIMITS.carried(message, topic):
             limits = (message.forward, message.backward, message.left, message.right)
             ground = (message.uneven_ahead, message.uneven_behind, message.near_body)
@@ -205,6 +217,8 @@ class RobotStage:
         if (trunk.roll, trunk.pitch) != (self._trunk.roll, self._trunk.pitch):
             self.backend.posture(trunk)
         self._trunk = trunk
+        if self._sight is not None and isinstance(self.backend, Sighted):
+            self.backend.see(self._sight.ground(now, self._place()))
         outputs: Outputs = []
         for sample in self.backend.read(now):
             outputs += self._publish(sample)

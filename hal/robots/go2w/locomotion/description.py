@@ -11,7 +11,7 @@ unitree_rl_lab's files are read into.
     history: {ages: [0, 1, 2], order: frame}
     observation:
       - {term: gyro, scale: 0.25}
-      - {term: heights, offset: 0.5, clip: [-1, 1], x: [-0.8, 0.8, 17], y: [-0.5, 0.5, 11]}
+      - {term: heights, offset: 0.5, clip: [-1, 1], unknown: 0.5, x: [-0.8, 0.8, 17], y: [-0.5, 0.5, 11]}
 
 One number stands for as many as are needed. A term is clipped, then scaled. Ages are policy steps, 0 is now; `order:
 frame` is one whole observation after the other, `order: term` each term with all its ages. Joints that a policy does
@@ -68,6 +68,9 @@ class Term(BaseModel):
     clip: tuple[Numbers, Numbers] | None = Field(None, description="before scaling")
     ages: tuple[int, ...] | None = Field(None, description="of this term alone; None: those of `history`")
     offset: float = Field(0.0, description="of `heights` [m]")
+    unknown: float | None = Field(
+        None, description="of `heights`: what a place counts as that is not known, base_link above it [m]"
+    )
     x: tuple[float, float, int] | None = Field(
         None, description="of `heights`: first, last, count [m], forward"
     )
@@ -79,8 +82,11 @@ class Term(BaseModel):
             raise ValueError(f"{self.term}: {ABSENT[self.term]}")
         if self.term not in TERMS:
             raise ValueError(f"unknown term {self.term!r}: there is {', '.join(TERMS)}")
-        if (self.term == "heights") != (self.x is not None and self.y is not None):
-            raise ValueError("heights, and they alone, need x and y: [first, last, count]")
+        if any((self.term == "heights") != (v is not None) for v in (self.x, self.y, self.unknown)):
+            raise ValueError(
+                "heights, and they alone, need x and y: [first, last, count], and unknown: "
+                "what a place counts as that is not known, base_link above it [m]"
+            )
         if self.x is not None and self.y is not None:
             counts = (self.x[2], self.y[2])
             if min(counts) < 1 or counts[0] * counts[1] > MOST_PLACES:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.lowlevel import LowCommand, LowState
+from hal.lowlevel import Ground, LowCommand, LowState
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.policy import PolicyController
 from hal.robots.go2w.locomotion.vmc import VmcController
@@ -67,7 +67,7 @@ class HybridController:
     def __init__(self, source: Path) -> None:
         """source: of the policy, as for `PolicyController`, whose control period is that of both."""
         self.climber = PolicyController(source)
-        self.period = self.climber.period
+        self.period, self.places = self.climber.period, self.climber.places
         self.wheels = VmcController(period=self.period)
         self._command = LowCommand(*(np.zeros(16) for _ in range(5)))
         self.reset()
@@ -119,9 +119,15 @@ class HybridController:
             return learnt
         return mixed(self.wheels.step(state, driven, posture), learnt, self._share, self._command)
 
+    def see(self, ground: Ground) -> None:
+        """The ground at `places`, for the learnt policy."""
+        self.climber.see(ground)
+
     def warning(self) -> str:
         """What it does instead of plain driving, in words."""
-        return "climbing with the learnt policy" if self.climbing else self.wheels.warning()
+        if self.climbing:
+            return " ".join(filter(None, ("climbing with the learnt policy", self.climber.warning())))
+        return self.wheels.warning()
 
     def _helped(self, state: LowState, velocity: VelocityCommand) -> VelocityCommand:
         """The command for the learnt policy, with help where it makes no progress.

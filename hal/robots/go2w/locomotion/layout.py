@@ -47,6 +47,8 @@ class Layout:
         """Numbers of all terms of one age."""
         self.places = np.empty((0, 2))
         """(m, 2) whose heights the policy sees [m], in the heading frame."""
+        self.unknown = 0.0
+        """What they count as where they are not known: base_link above the ground [m]."""
         self._terms: list[tuple[str, slice, Array, float]] = []
         low, high = [], []
         for term in description.observation:
@@ -58,7 +60,7 @@ class Layout:
             low.append(ends.min(axis=0))
             high.append(ends.max(axis=0))
             if term.term == "heights":
-                self.places = term.places()
+                self.places, self.unknown = term.places(), term.unknown or 0.0
             self._terms.append((term.term, part, scale, term.offset))
             self.frame_size += size
         with np.errstate(invalid="ignore"):
@@ -91,7 +93,7 @@ class Layout:
 
         gyro (..., 3) [rad/s] and world z `up` (..., 3) in base_link; `command` (..., 3): vx, vy [m/s], wz [rad/s]; q, dq (..., 16)
         [rad, rad/s]; `action` (..., n): the output of the step before; `above` (..., m): base_link above the ground at
-        `places` [m].
+        `places` [m], NaN where it is not known.
         """
         for name, part, scale, offset in self._terms:
             if name == "gyro":
@@ -109,7 +111,7 @@ class Layout:
             elif name == "action":
                 out[..., part] = action * scale.astype(np.float32)
             elif above is not None:
-                out[..., part] = (above - offset) * scale
+                out[..., part] = (np.where(np.isnan(above), self.unknown, above) - offset) * scale
         np.clip(out, self._low, self._high, out=out)
 
     def targets(self, action: NDArray[np.float32]) -> tuple[Array, Array]:

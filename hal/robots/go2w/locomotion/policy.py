@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.lowlevel import LowCommand, LowState
+from hal.lowlevel import Ground, LowCommand, LowState
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.layout import Layout
 from hal.robots.go2w.locomotion.source import read_policy
@@ -40,9 +40,9 @@ class PolicyController:
         self._hold_kd = np.array([HOLD_KD] * 12 + [WHEEL_HOLD_KD] * 4)
         self._frames = np.zeros((self.layout.oldest + 1, self.layout.frame_size), np.float32)
         self._command = LowCommand(*(np.zeros(16) for _ in range(5)))
-        self.above: Array | None = None
-        """(m,) base_link above the ground [m] at `layout.places`, of a policy that sees heights; whoever drives it
-        fills it in."""
+        self.places = self.layout.places
+        """(m, 2), see `hal.lowlevel.Sighted`."""
+        self._ground = Ground(np.full(len(self.places), np.nan), "nobody tells it any")
         self.reset()
 
     def reset(self) -> None:
@@ -77,9 +77,15 @@ class PolicyController:
         self._tick += 1
         return self._command
 
+    def see(self, ground: Ground) -> None:
+        """The ground at `places`."""
+        self._ground = ground
+
     def warning(self) -> str:
-        """Always empty: a network does not tell why it stops."""
-        return ""
+        """What it does not see; a network does not tell why it stops."""
+        if not len(self.places) or not self._ground.lacks:
+            return ""
+        return f"the policy sees no ground: {self._ground.lacks}; it counts as {self.layout.unknown} m below"
 
     def _hold(self, state: LowState) -> LowCommand:
         c = self._command
@@ -100,11 +106,9 @@ class PolicyController:
     def _run(self, state: LowState, velocity: VelocityCommand) -> None:
         frames, layout = self._frames, self.layout
         frames[1:] = frames[:-1].copy()
-        if self.above is None and len(layout.places):
-            raise PolicyError("the policy sees heights of the ground, and nobody tells it any")
         command = np.array([velocity.vx, velocity.vy, velocity.wz])
         up = np.array(up_of(state.quaternion))
-        layout.frame(state.gyro, up, command, state.q, state.dq, self._action, frames[0], self.above)
+        layout.frame(state.gyro, up, command, state.q, state.dq, self._action, frames[0], self._ground.above)
         if not self._begun:
             frames[1:] = frames[0]
             self._begun = True

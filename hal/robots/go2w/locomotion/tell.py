@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hal.lowlevel import LowState
+from hal.lowlevel import Ground, LowState
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.controllers import policy_of
 from hal.robots.go2w.locomotion.description import TERMS
@@ -40,8 +40,11 @@ def tell(source: str) -> Iterator[str]:
     braked = [name for name in go2w.MOTORS if name not in d.joints]
     yield f"moves {len(d.joints)} joints" + (f"; {', '.join(braked)} are braked" if braked else "")
     if count := len(controller.layout.places):
-        yield f"needs heights of the ground at {count} places: `up` refuses it, no backend gives them to a controller"
-        controller.above = np.full(count, go2w.stand_height(go2w.STAND))
+        yield (
+            f"sees the map at {count} places, in simulation; the real robot's motors do not have it. Where the map is "
+            f"too old or nobody saw the ground, it counts as {controller.layout.unknown} m below base_link"
+        )
+        controller.see(Ground(np.full(count, go2w.stand_height(go2w.STAND)), ""))
     yield from _first(controller)
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("onnxruntime", reason="the extra `policies` is not installed")
 from hal.limbs import MOTORS
-from hal.lowlevel import LowState
+from hal.lowlevel import Ground, LowState
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.controllers import check
 from hal.robots.go2w.locomotion.description import Description
@@ -198,6 +198,7 @@ def test_heights_are_seen_in_rows_from_the_right_below_an_offset(tmp_path: Path)
             "x": [-0.2, 0.2, 3],
             "y": [-0.1, 0.1, 2],
             "offset": 0.3,
+            "unknown": 0.32,
             "clip": [-0.1, 0.1],
             "scale": 5.0,
         }
@@ -206,14 +207,26 @@ def test_heights_are_seen_in_rows_from_the_right_below_an_offset(tmp_path: Path)
     wanted = [[-0.2, -0.1], [0.0, -0.1], [0.2, -0.1], [-0.2, 0.1], [0.0, 0.1], [0.2, 0.1]]
     np.testing.assert_allclose(controller.layout.places, wanted, atol=1e-9)
     state, told = states(1)[0], VelocityCommand(0, 0.3)
-    with pytest.raises(PolicyError, match="nobody tells it any"):
-        controller.step(state, told, PostureCommand(0))
-    controller.above = np.array([0.3, 0.35, 0.6, 0.25, 0.0, 0.38])
-    command = controller.step(state, told, PostureCommand(0))
-    action = np.array([0.0, 0.25, 0.5, -0.25, -0.5, 0.4]) @ linear(tmp_path / "net.onnx", 6)
-    assert command.q[MOTORS.index("FL_thigh")] == pytest.approx(0.7 + 0.2 * action[1], abs=1e-5)
-    with pytest.raises(PolicyError, match="sees heights of the ground at 6 places"):
-        check("policy", str(tmp_path))
+    weight = linear(tmp_path / "net.onnx", 6)
+
+    def thigh() -> float:
+        controller.reset()
+        return float(controller.step(state, told, PostureCommand(0)).q[MOTORS.index("FL_thigh")])
+
+    # Nobody tells it any, then all, then half of them: what is not known counts as it declares, and it says so.
+    assert thigh() == pytest.approx(0.7 + 0.2 * float(np.full(6, 0.1) @ weight[:, 1]), abs=1e-5)
+    assert "nobody tells it any; it counts as 0.32 m" in controller.warning()
+    controller.see(Ground(np.array([0.3, 0.35, 0.6, 0.25, 0.0, 0.38]), ""))
+    heights = np.array([0.0, 0.25, 0.5, -0.25, -0.5, 0.4])
+    assert thigh() == pytest.approx(0.7 + 0.2 * float(heights @ weight[:, 1]), abs=1e-5)
+    assert controller.warning() == ""
+    controller.see(Ground(np.array([0.3, 0.35, 0.6, np.nan, np.nan, np.nan]), ""))
+    assert thigh() == pytest.approx(
+        0.7 + 0.2 * float(np.array([*heights[:3], 0.1, 0.1, 0.1]) @ weight[:, 1]), abs=1e-5
+    )
+    check("policy", str(tmp_path))
+    with pytest.raises(PolicyError, match="sees heights of the ground at 6 places, which do not reach"):
+        check("policy", str(tmp_path), blind=True)
 
 
 # --- memory ------------------------------------------------------------------------------------------------------
@@ -262,10 +275,11 @@ def test_a_network_that_must_not_be_run_is_refused(tmp_path: Path, how: str, wor
         ({"observation": [{"term": "lin_vel"}]}, "no sensor at the motors measures the speed"),
         ({"observation": [{"term": "smell"}]}, "unknown term 'smell': there is gyro"),
         ({"observation": [{"term": "heights"}]}, "need x and y"),
+        ({"observation": [{"term": "heights", "x": [0, 1, 2], "y": [0, 1, 2]}]}, "and unknown"),
         ({"observation": [{"term": "gyro"}, {"term": "gyro"}]}, "each term once"),
         ({"observation": [{"term": "gyro", "scale": [1.0, 2.0]}]}, "gyro.scale must be one number or 3"),
         ({"observation": [{"term": "gyro", "clip": [1.0, -1.0]}]}, "above the upper one"),
-        ({"observation": [{"term": "heights", "x": [0, 1, 2000], "y": [0, 1, 1000]}]}, "2000 x 1000 places"),
+        ({"observation": [{"term": "heights", "x": [0, 1, 2000], "y": [0, 1, 1000], "unknown": 0.5}]}, "2000 x 1000 places"),
         ({"history": {"ages": [0, 0]}}, "each once"),
         ({"history": {"order": "frame"}, "observation": [{"term": "gyro", "ages": [1]}]}, "need `order: term`"),
         ({"joints": list(MOTORS[3:])}, "FR_hip, FR_thigh, FR_calf would hang free"),

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any
 
 from hal.errors import OperatorError
 
 PATTERN = r"^([A-Za-z_][\w-]*|[A-Za-z_][\w.]*:[A-Za-z_]\w*)$"
 """What a name looks like."""
+BESIDE = r"^\.[A-Za-z_]\w*:[A-Za-z_]\w*$"
+"""What the name of a part of the same folder looks like, `.module:function`."""
 
 
 class NamedError(OperatorError):
@@ -33,3 +38,20 @@ def named(name: str, what: str, group: str, own: tuple[str, ...] = ()) -> Any:
         raise NamedError(
             f"{what} {name}: {error}; install the package, or name its folder in PYTHONPATH"
         ) from error
+
+
+def beside(folder: Path, name: str, what: str) -> Any:
+    """What `.module:function` means in `folder`, a package that nobody needs to install. Raises NamedError."""
+    module, _, attribute = name.removeprefix(".").partition(":")
+    package = f"{folder.name}@{folder.resolve()}".replace(".", "_")
+    try:
+        if package not in sys.modules:
+            init = folder / "__init__.py"
+            spec = spec_from_file_location(package, init, submodule_search_locations=[str(folder)])
+            if spec is None or spec.loader is None or not init.is_file():
+                raise ImportError(f"{folder} is no package: it has no __init__.py")
+            sys.modules[package] = module_from_spec(spec)
+            spec.loader.exec_module(sys.modules[package])
+        return getattr(import_module(f"{package}.{module}"), attribute)
+    except (ImportError, AttributeError, SyntaxError) as error:
+        raise NamedError(f"{what} {name}: {error}; it is looked for in {folder}") from error

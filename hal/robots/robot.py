@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hal.errors import OperatorError
 from hal.lidar.config import LidarConfig
 from hal.limbs import LEGS, MOTORS, Limbs, stand_height
-from hal.named import PATTERN, named
+from hal.named import BESIDE, PATTERN, beside, named
 from hal.types import Array, Capabilities, Extrinsics
 
 _CHECKED = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -129,7 +129,9 @@ class Robot(BaseModel):
     lidars: tuple[LidarConfig, ...] = Field(description="what it carries as it is delivered")
     controllers: dict[str, Controller] = Field(min_length=1, description="the first one is the default")
     backends: tuple[str, ...] = Field(("sim",), description="by which it can be driven")
-    simulated: str = Field("", description="package.module:object, a hal.mujoco.robot.Simulated")
+    simulated: str = Field(
+        "", description=".module:object of the folder, or package.module:object, a hal.mujoco.robot.Simulated"
+    )
     checks: str = Field(
         "", description="package.module:function that raises where a controller would not start"
     )
@@ -141,7 +143,7 @@ class Robot(BaseModel):
         "", description="package.module:function(policy) that tells what a learnt policy needs, line by line"
     )
     description: str = Field(
-        "", pattern=rf"^$|{PATTERN}", description="package.module:function that writes its URDF"
+        "", pattern=rf"^$|{PATTERN}|{BESIDE}", description="function that writes its URDF"
     )
     settings: dict[str, Any] = Field(
         {}, description="of the stack's configuration, where its defaults do not suit"
@@ -222,7 +224,10 @@ class Robot(BaseModel):
 
     def load(self, target: str) -> Any:
         """What a door of the folder names. Raises NamedError."""
-        return named(target, f"part of robot {self.name}", "rbtrg.robots")
+        what = f"part of robot {self.name}"
+        if target.startswith("."):
+            return beside(self.folder, target, what)
+        return named(target, what, "rbtrg.robots")
 
     def _controller(self, name: str) -> Controller:
         if name not in self.controllers:

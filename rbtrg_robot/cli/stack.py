@@ -189,6 +189,10 @@ def _check(config: StackConfig) -> None:
         from hal.unitree.factory import check
 
         check(config.interface)
+    else:
+        from rbtrg_robot.hosts.robot import maker
+
+        maker(config.backend)
     if config.map_file:
         from mapping.elevation.map import ElevationMap
 

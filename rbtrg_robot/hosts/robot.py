@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from hal.contract import Backend
+from hal.contract import Backend, BackendError
 from hal.named import named
 from hal.safety.gate import SafetyGate
 from hal.types import NS
@@ -72,11 +72,20 @@ def _simulator(config: StackConfig, restored: dict[Topic, bytes], begin: int) ->
     )
 
 
+def maker(backend: str) -> Callable[[StackConfig, SourceClock], object]:
+    """Of a backend that is not ours, by its name. Raises NamedError."""
+    make: Callable[[StackConfig, SourceClock], object] = named(
+        backend, "backend", "rbtrg.backends", ("sim", "unitree")
+    )
+    return make
+
+
 def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
     clock = clock or SourceClock()
     if config.backend != "unitree":
-        make = named(config.backend, "backend", "rbtrg.backends", ("sim", "unitree"))
-        made: Backend = make(config, clock)
+        made = maker(config.backend)(config, clock)
+        if not isinstance(made, Backend):
+            raise BackendError(f"backend {config.backend} made {made!r}, which is no hal.contract.Backend")
         return made
     from hal.unitree.factory import make_backend
 

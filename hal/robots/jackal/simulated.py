@@ -25,7 +25,8 @@ from hal.mujoco.robot import (
     visual,
 )
 from hal.robots.folders import describe
-from hal.robots.jackal.drive import Drive
+
+from .drive import Drive  # of this folder: of the copy, in a copy
 
 CHASSIS = np.array([0.420, 0.310, 0.184])
 """Full lengths [m]."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 import yaml
 
 from hal.limbs import LEGS, MOTORS, wheel_centres, wheel_jacobians
+from hal.named import NamedError
 from hal.robots import DEFAULT, Robot, RobotError, describe, envelope_file, names, urdf
 from hal.robots.check import findings
 from hal.types import Extrinsics
@@ -90,6 +93,7 @@ def test_jacobians_are_the_derivatives_of_the_places() -> None:
 def folder(tmp_path: Path, **changes: object) -> Path:
     """A copy of the second robot's description, changed."""
     values = yaml.safe_load((describe("jackal").folder / "robot.yaml").read_text())
+    values["simulated"] = "hal.robots.jackal.simulated:JACKAL"
     for key, value in changes.items():
         if value is None:
             del values[key]
@@ -107,6 +111,31 @@ def test_a_folder_is_a_robot(tmp_path: Path) -> None:
     told = {finding.verdict: finding.words for finding in findings(robot)}
     assert "drive: no envelope at" in told["wrong"]
     assert "python -m tools.bench envelope --robot-model" in told["wrong"]
+
+
+def test_a_copied_folder_is_a_robot_of_its_own(tmp_path: Path) -> None:
+    """Whatever its name, wherever it lies, and beside ours."""
+    copy = tmp_path / "my robot"
+    shutil.copytree(describe("jackal").folder, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    for file, ours, mine in (
+        ("robot.yaml", "name: jackal", "name: mine"),
+        ("simulated.py", "TORQUE, FASTEST = 8.0, 22.0", "TORQUE, FASTEST = 9.0, 22.0"),
+        ("drive.py", "HOLD_KP = 60.0", "HOLD_KP = 70.0"),
+    ):
+        text = (copy / file).read_text()
+        assert ours in text
+        (copy / file).write_text(text.replace(ours, mine))
+    mine, ours = describe(str(copy)).model(), describe("jackal").model()
+    assert (mine.torque_limit.max(), ours.torque_limit.max()) == (9.0, 8.0)
+    holds = [
+        sys.modules[type(robot.controller("drive", "", 0.005)).__module__].HOLD_KP for robot in (mine, ours)
+    ]
+    assert holds == [70.0, 60.0], "its parts import each other"
+    assert [f.words for f in findings(describe(str(copy))) if f.verdict == "wrong"] == []
+    (copy / "drive.py").unlink()
+    broken = describe(str(copy.rename(tmp_path / "broken")))
+    with pytest.raises(NamedError, match=r"\.simulated:JACKAL: .*drive.*; it is looked for in"):
+        broken.model()
 
 
 @pytest.mark.parametrize(

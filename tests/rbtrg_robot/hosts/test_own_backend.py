@@ -1,0 +1,134 @@
+"""A backend of somebody else, by module and function or as an entry point of an installed package."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hal.contract import BackendError
+from hal.errors import OperatorError
+from hal.types import Phase
+from rbtrg_robot import topics as t
+from rbtrg_robot.cli.stack import _check
+from rbtrg_robot.config import ConfigError, load
+from rbtrg_robot.hosts.robot import build
+from rbtrg_robot.stages.robot import STEP
+from tests.rbtrg_robot.process.command import command
+from tools.bench.ports import free_port
+
+CODE = '''
+"""A robot that stands, and says what it was told."""
+
+from hal.robots import describe
+from hal.types import Phase, RobotState
+
+
+class Standing:
+    def __init__(self, config, clock):
+        self.config, self.clock = config, clock
+        self.capabilities = describe().capabilities("vmc")
+        self.told, self.up, self.now = [], False, 0
+
+    def connect(self):
+        self.up = True
+
+    def read(self, now):
+        self.now = now
+        return []
+
+    def drive(self, command):
+        self.told.append(command.vx)
+
+    def posture(self, command):
+        pass
+
+    def request(self, mode):
+        pass
+
+    def state(self):
+        return RobotState(self.now, Phase.READY if self.up else Phase.DISCONNECTED, "mine stands")
+
+    def diagnostics(self):
+        return {"mine": 1.0}
+
+    def close(self, *, lie_down=True):
+        self.up = False
+
+
+def make(config, clock):
+    return Standing(config, clock)
+
+
+def nothing(config, clock):
+    return "no backend"
+'''
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """`own_backend.py` on the path, with the metadata of a package that has it for an entry point."""
+    (tmp_path / "own_backend.py").write_text(CODE)
+    info = tmp_path / "own_backend-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-backend\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[rbtrg.backends]\nmine = own_backend:make\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    sys.modules.pop("own_backend", None)
+
+
+@pytest.mark.parametrize("name", ["own_backend:make", "mine"])
+def test_it_stands_behind_the_gate(module: Path, name: str) -> None:
+    config = load(None, [f"backend={name}", "controller=vmc"])
+    _check(config)
+    stage = build(config)
+    made = stage.backend
+    assert type(made).__name__ == "Standing"
+    assert made.config is config  # type: ignore[attr-defined]
+    assert t.CLOCK not in stage.outputs, "its clock is the computer's"
+    stage.warm_up()
+    told = [m for topic, m in stage.tick(made.clock()) if topic is t.ROBOT_STATE]  # type: ignore[attr-defined]
+    assert told[0].phase == Phase.READY.value
+    assert told[0].cause.startswith("mine stands")
+    stage.tick(made.clock() + STEP)  # type: ignore[attr-defined]
+    assert made.told == [0.0, 0.0]  # type: ignore[attr-defined]
+    stage.close()
+    assert not made.up  # type: ignore[attr-defined]
+
+
+def test_what_is_none_is_told_before_the_robot_moves(module: Path) -> None:
+    with pytest.raises(ConfigError, match="driven by sim, unitree, not by other"):
+        load(None, ["backend=other"])
+    for name, words in (("own_backend:mak", "has no attribute 'mak'"), ("nowhere_at_all:make", "PYTHONPATH")):
+        with pytest.raises(OperatorError, match=words):
+            _check(load(None, [f"backend={name}"]))
+    with pytest.raises(
+        BackendError, match=r"own_backend:nothing made 'no backend', which is no hal\.contract"
+    ):
+        build(load(None, ["backend=own_backend:nothing"]))
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(300)
+def test_up_starts_it_and_status_tells_what_it_says(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(module))
+    up = [
+        "up",
+        "--detach",
+        "--backend",
+        "mine",
+        "--port",
+        str(free_port()),
+        "--log-dir",
+        str(module / "logs"),
+    ]
+    done = command(module, *up, limit=240.0)
+    try:
+        assert done.returncode == 0, done.stderr
+        status = command(module, "status", "--json", limit=60.0)
+        assert "mine stands" in status.stdout, status.stdout + status.stderr
+    finally:
+        command(module, "down", limit=60.0)

@@ -332,7 +332,7 @@ LIDAR_REPEATS = Monitor(
     "the {name} LiDAR repeats its sweep: its stamps go on, its points do not",
     "power the LiDAR off and on, or restart its driver",
     high=1,
-    unit="sweeps in a row; a sound one never repeats, its noise does not",
+    unit="sweeps in a row; each one that repeats another of the last 512 is refused",
     test="mapping/odometry/test_inputs_that_lie.py",
 )
 IMU_REPEATS = Monitor(
@@ -345,6 +345,18 @@ IMU_REPEATS = Monitor(
     "restart the robot; drive it by hand to a safe place with care",
     high=4,
     unit="samples in a row; at most 2 where a driver tells each sample more than once",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+IMU_PART_REPEATS = Monitor(
+    "imu_part_repeats",
+    "IMU",
+    Check.REPEAT,
+    Consequence.LOST,
+    "odometry",
+    "the {name} of the IMU repeats its value: the IMU's stamps go on, this part of it is dead",
+    "restart the robot; drive it by hand to a safe place with care",
+    high=24,  # three axes at rest may well agree for some samples
+    unit="samples in a row",
     test="mapping/odometry/test_inputs_that_lie.py",
 )
 JOINTS_REPEAT = Monitor(
@@ -371,6 +383,19 @@ IMPOSSIBLE_SPEED = Monitor(
     unit="of 4 m/s gained in a sweep, or 1.6 m/s up or down with wheels on the ground",
     test="mapping/odometry/test_inputs_that_lie.py",
 )
+IMU_DISAGREES = Monitor(
+    "imu_disagrees",
+    "IMU",
+    Check.AGREEMENT,
+    Consequence.LOST,
+    "odometry",
+    "without a scan that fits, over {seconds:.0f} s the accelerometer leads {moved:.2f} m from where each wheel does: one of them is wrong",
+    "let the robot stand; if it comes again, look at the IMU and its driver",
+    high=1.0,
+    unit="of 0.4 m over a second",
+    against="wheels",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
 SCANS_DISAGREE = Monitor(
     "scans_disagree",
     "LiDAR",
@@ -382,6 +407,19 @@ SCANS_DISAGREE = Monitor(
     high=1.0,
     unit="of 0.4 m or 6 deg over a second",
     against="wheels, IMU",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+SCANS_SCALE = Monitor(
+    "scans_scale",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "over {way:.1f} m of the wheels the scans lead {off:.2f} m from where each wheel does: the LiDAR's distances are wrong, or all wheels slip",
+    "look whether the wheels spin; if not, look at the unit in which the LiDAR's driver tells distances",
+    high=0.2,  # tyres and slip: 0.80 to 1.15 of the way of the wheels was seen
+    unit="m over a metre of the wheels",
+    against="wheels",
     test="mapping/odometry/test_inputs_that_lie.py",
 )
 MOVED_WHILE_STILL = Monitor(

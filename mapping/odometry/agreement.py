@@ -1,4 +1,4 @@
-"""Wheels and gyro against the scans, over a second: the wheels slip, or the scans show what is not there."""
+"""Wheels and gyro against another that tells of the motion, over a second."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from hal.rotation import rotation_vector, wrap
-from hal.safety.monitors import SCANS_DISAGREE
+from hal.safety.monitors import SCANS_SCALE, Monitor
 from hal.types import NS, Array
 
 WINDOW = NS
@@ -17,36 +17,79 @@ MOVED, TURNED = 0.4, math.radians(6.0)
 """Most that wheels on firm ground [m] and a gyro [rad] are off within it."""
 
 
+WAY = 1.0
+"""[m] that wheels roll, over which the distances of the scans are judged."""
+
+
 def way_ahead(before: Array, after: Array) -> float:
     """[m] by which a robot came ahead, signed, from `before` (4, 4) to `after`: along the mean of its two headings."""
     return float((after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0)
 
 
-class Agreement:
-    """Sums what the scans say beside dead reckoning."""
+def apart(before: Array, after: Array, rolled: Array) -> Array:
+    """(4,) [m] by which a step came farther than each wheel, which rolled `rolled` (4,) [m]; 0 where that is NaN."""
+    off = way_ahead(before, after) - rolled
+    return np.where(np.isfinite(off), off, 0.0)
 
-    def __init__(self) -> None:
+
+def between(off: list[Array]) -> float:
+    """[m] by which steps came farther, or less far, than any wheel. Wheels that spin on an edge or at a face roll
+    farther than the others, so the true way lies between. `off`: (4,) [m] of each step."""
+    wheels = np.sum(off, axis=0)
+    return max(float(wheels.min()), -float(wheels.max()), 0.0)
+
+
+class Agreement:
+    """Sums what the scans, or an integrated accelerometer, say beside wheels and gyro."""
+
+    def __init__(self, row: Monitor) -> None:
+        """`row`: its limit and its words."""
+        self._row = row
         self._off: deque[tuple[int, Array, float]] = deque()
-        """End of a scan [ns]; difference between scan and dead reckoning in way ahead of each wheel (4,) [m], and in
-        turn about z [rad]."""
+        """End of a step [ns]; its difference in way ahead from each wheel (4,) [m], and in turn about z from the gyro
+        [rad]."""
 
     def add(self, stamp: int, before: Array, after: Array, rolled: Array, turned: float) -> str:
-        """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`. Each wheel rolled `rolled` (4,)
-        [m], NaN if unknown; the gyro turned by `turned` [rad]. Returns in words why scan and dead reckoning disagree;
-        empty while they agree. Wheels that spin on an edge or at a face roll farther than the others, so the true way
-        lies between."""
+        """A step that ended at `stamp` [ns] led from `before` (4, 4) to `after`. Each wheel rolled `rolled` (4,)
+        [m], NaN if unknown; the gyro turned by `turned` [rad]. Returns in words how they disagree; empty while they
+        agree."""
         turn = rotation_vector(before[:3, :3].T @ after[:3, :3])[2]
-        ahead = way_ahead(before, after) - rolled
-        self._off.append((stamp, np.where(np.isfinite(ahead), ahead, 0.0), wrap(float(turn) - turned)))
+        off = apart(before, after, rolled)
+        self._off.append((stamp, off, wrap(float(turn) - turned)))
         while self._off[0][0] <= stamp - WINDOW:
             self._off.popleft()
-        wheels = np.sum([off for _, off, _ in self._off], axis=0)
-        way = max(float(wheels.min()), -float(wheels.max()), 0.0)
+        way = between([off for _, off, _ in self._off])
         turn = abs(math.fsum(off for *_, off in self._off))
-        if not SCANS_DISAGREE.outside(max(way / MOVED, turn / TURNED)):
+        if not self._row.outside(max(way / MOVED, turn / TURNED)):
             return ""
-        return SCANS_DISAGREE.tell(seconds=WINDOW / NS, moved=way, turned=math.degrees(turn))
+        return self._row.tell(seconds=WINDOW / NS, moved=way, turned=math.degrees(turn))
 
     def forget(self) -> None:
         """Break the comparison: the robot was found elsewhere."""
         self._off.clear()
+
+
+class Scale:
+    """The way of the scans beside that of the wheels, over a metre: a LiDAR that tells its distances in another unit
+    fits its own map."""
+
+    def __init__(self) -> None:
+        self._steps: deque[tuple[float, Array]] = deque()
+        """Of each step [m]: mean way of the wheels, and by how much the scans came farther than each (4,)."""
+
+    def add(self, before: Array, after: Array, rolled: Array) -> str:
+        """A step led from `before` (4, 4) to `after`; each wheel rolled `rolled` (4,) [m], NaN if unknown. Returns in
+        words that the scans tell another way; empty while they do not."""
+        if not np.isfinite(rolled).all():
+            self.forget()
+            return ""
+        self._steps.append((float(np.abs(rolled).mean()), apart(before, after, rolled)))
+        way = math.fsum(way for way, _ in self._steps)
+        while way - self._steps[0][0] > WAY:
+            way -= self._steps.popleft()[0]
+        off = between([off for _, off in self._steps])
+        return SCANS_SCALE.tell(way=way, off=off) if SCANS_SCALE.outside(off) else ""
+
+    def forget(self) -> None:
+        """Break the comparison: the robot was found elsewhere."""
+        self._steps.clear()

@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.plausible import ImuCheck, impossible_joints
-from hal.safety.monitors import IMU_REPEATS, JOINTS_REPEAT, LIDAR_REPEATS, STAMP_AHEAD, SWEEP_CLOCK
+from hal.safety.monitors import (
+    IMU_PART_REPEATS,
+    IMU_REPEATS,
+    JOINTS_REPEAT,
+    LIDAR_REPEATS,
+    STAMP_AHEAD,
+    SWEEP_CLOCK,
+)
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, SweepClock, TopicClock, clean_scan
 from mapping.odometry.own import OwnFilter
@@ -63,8 +70,10 @@ class Inbox:
         self._refused: dict[str, str] = {}
         """By topic the newest reason for which a sample was refused."""
         self._params, self._counters, self._on_jump, self._shift = params, counters, on_jump, shift
-        self.streams: dict[str, Repeats] = {
+        self._streams: dict[str, Repeats] = {
             "imu": Repeats(IMU_REPEATS),
+            "gyro": Repeats(IMU_PART_REPEATS, "gyro", memory=1),
+            "accelerometer": Repeats(IMU_PART_REPEATS, "accelerometer", memory=1),
             "joints": Repeats(JOINTS_REPEAT),
             **{name: Repeats(LIDAR_REPEATS, name) for name in self._sweeps},
         }
@@ -77,10 +86,15 @@ class Inbox:
         self._imu_samples = 0
 
     def _repeats(self, topic: str, payload: NDArray) -> bool:
-        dead = self.streams[topic].dead(payload)
+        dead = self._streams[topic].dead(payload)
         if dead:
             self._counters[f"{topic}_repeated"] += 1
         return dead
+
+    def repeats(self, topic: str) -> str:
+        """That `imu`, `joints` or a LiDAR repeats itself, in words; empty where it does not."""
+        names = ("imu", "gyro", "accelerometer") if topic == "imu" else (topic,)
+        return next((self._streams[name].words for name in names if self._streams[name].words), "")
 
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
@@ -95,7 +109,14 @@ class Inbox:
         self._imu_samples += 1
         if self._refuse("imu", self._imu_check.impossible(row[:3], row[3:])):
             return None
-        if not self._admit("imu", sample.stamp) or self._repeats("imu", row):
+        if not self._admit("imu", sample.stamp):
+            return None
+        dead = (
+            self._repeats("imu", row),
+            self._repeats("gyro", row[:3]),
+            self._repeats("accelerometer", row[3:]),
+        )
+        if any(dead):
             return None
         if self._refuse("imu", self._imu_check.contradicted(int(sample.stamp), row[:3], row[3:])):
             return None
@@ -139,25 +160,31 @@ class Inbox:
             return
         if not self._admit_sweep(scan.name, scan.stamp):
             return
-        dead = self._repeats(scan.name, scan.points)
-        if dead and scan.name != self.pace:
-            self._ends.pop(scan.name, None)  # it is not waited for
-            return
         p = self._params
         near = p.min_range if scan.name == "main" else NEAR
         sweep = clean_scan(scan, near, p.max_range, p.max_points, self._counters)
         if sweep is None:
             return
-        off = self._agreement[scan.name].off(
-            sweep.start, sweep.end, self._clocks["imu"].newest, self._imu_samples
-        )
-        if not self._refuse(scan.name, SWEEP_CLOCK.tell(name=scan.name, value=off) if off else ""):
+        stream = self._streams[scan.name]
+        dead = self._repeats(scan.name, sweep.xyz)
+        if dead and scan.name != self.pace:
+            self._ends.pop(scan.name, None)  # it is not waited for
+            return
+        if stream.again and not dead:
+            self._refuse(scan.name, stream.told)
+            return
+        clock = self._agreement[scan.name]
+        off = clock.off(sweep.start, sweep.end, self._clocks["imu"].newest, self._imu_samples)
+        reason = clock.too_long(sweep.end - sweep.start)
+        if off:
+            reason = SWEEP_CLOCK.tell(name=scan.name, value=off)
+        if not self._refuse(scan.name, reason):
             self._note(int(scan.stamp))
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
             sweep = self._own.take_out(sweep, self._counters)
             if dead:
-                sweep = replace(sweep, problem=self.streams[scan.name].words)
+                sweep = replace(sweep, problem=stream.words)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
 
@@ -170,7 +197,7 @@ class Inbox:
     def _silent(self, name: LidarName) -> bool:
         newest = self._clocks[name].newest
         since = newest if newest is not None else self._first
-        return since is None or self.now - since > SILENT or bool(self.streams[name].words)
+        return since is None or self.now - since > SILENT or bool(self._streams[name].words)
 
     @property
     def waiting(self) -> bool:

@@ -16,6 +16,10 @@ from hal.types import NS, Array, LidarName, LidarScan
 
 HIT = 0.01
 """A point nearer than this [m] is none: drivers write misses as 0, 0, 0."""
+USUAL = 10
+"""Sweeps that tell how far apart they come, and how long before the IMU's samples."""
+OVERLAP = 1.5
+"""Sweeps of one LiDAR follow each other; longer ones than this share of their period are none."""
 GAP_ENDS = 3
 """Samples in a row that show that a stream is back after a gap."""
 JUMP_BACK = NS
@@ -78,38 +82,62 @@ class TopicClock:
 class SweepClock:
     """Compares the stamps of one LiDAR with those of the IMU, both as they arrive.
 
-    A sweep that ends ahead of the IMU has a wrong stamp. A late sweep is right, unless its stamps went back first: no
-    delay does that. Then its clock was set back, and its sweeps are refused until they are as late as before."""
+    A sweep that ends ahead of the IMU has a wrong stamp. So has one that comes earlier than is usual beside the IMU,
+    if a hole in the stamps tells the same step. A late sweep is right, unless its stamps went back first: no delay
+    does that. Then its clock was set, and its sweeps are refused until they come as before."""
 
     def __init__(self) -> None:
-        self._lag: float | None = None
-        """By how much the newest sweep that agreed ended before the IMU's newest sample [s]."""
+        self._lags: deque[int] = deque(maxlen=USUAL)
+        """By how much the newest sweeps that agreed began before the IMU's newest sample [ns]."""
+        self._steps: deque[int] = deque(maxlen=USUAL)
+        """From the begin of one sweep to that of the next [ns]."""
         self._start: int | None = None
-        self._back = False
-        """A sweep was stamped into the one before."""
+        self._back = self._hole = False
+        """A sweep was stamped into the one before, or beyond the one that was due."""
         self._samples = 0
 
     def went_back(self) -> None:
         """A sweep was stamped no later than the one before."""
         self._back = True
 
+    @property
+    def _period(self) -> float:
+        """[ns] from sweep to sweep; infinite before it is known."""
+        return float(np.median(self._steps)) if len(self._steps) > 2 else math.inf
+
+    def too_long(self, lasts: int) -> str:
+        """That a sweep of `lasts` [ns] goes on while the next ones come, in words; empty where it does not."""
+        if not (POINT_TIMES.active and lasts > OVERLAP * self._period):
+            return ""
+        held = f"{lasts / NS:.2f} s of a sweep that comes every {self._period / NS:.2f} s"
+        return POINT_TIMES.tell(field="time", held=held)
+
     def off(self, start: int, end: int, imu: int | None, samples: int) -> float:
         """By how much a sweep from `start` to `end` [ns] is off the clock of the IMU [s], 0 where it agrees.
 
         `imu`: newest stamp of the IMU [ns]; `samples`: how many it has sent. One that fell silent tells nothing.
         """
-        self._back |= self._start is not None and start - self._start < (end - start) // 2
+        if self._start is not None:
+            step = start - self._start
+            self._back |= step < (end - start) // 2
+            self._hole |= SWEEP_CLOCK.outside((step - self._period) / NS, -math.inf, -SWEEP_CLOCK.low)
+            if 0 < step < NS:
+                self._steps.append(step)
         self._start = start
         speaks, self._samples = samples >= self._samples + 5, samples
         if imu is None or not speaks:
             return 0.0
-        lag = (imu - end) / NS
-        usual = lag if self._lag is None else self._lag
-        if SWEEP_CLOCK.outside(-lag, low=-math.inf):
-            return -lag
-        if self._back and SWEEP_CLOCK.outside(usual - lag):
-            return usual - lag
-        self._lag, self._back = lag, False
+        if SWEEP_CLOCK.outside((end - imu) / NS, low=-math.inf):
+            return (end - imu) / NS
+        lag = imu - start
+        early = (min(self._lags, default=lag) - lag) / NS
+        late = (lag - max(self._lags, default=lag)) / NS
+        if (self._hole or self._back) and SWEEP_CLOCK.outside(early, -math.inf, -SWEEP_CLOCK.low):
+            return early
+        if self._back and SWEEP_CLOCK.outside(-late):
+            return -late
+        self._lags.append(lag)
+        self._back = self._hole = False
         return 0.0
 
 

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from hal.robots import describe
 from hal.rotation import rotation_vector
-from hal.safety.monitors import IMPOSSIBLE_SPEED
+from hal.safety.monitors import IMPOSSIBLE_SPEED, IMU_DISAGREES, SCANS_DISAGREE
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
-from mapping.odometry.agreement import Agreement, way_ahead
+from mapping.odometry.agreement import Agreement, Scale, way_ahead
 from mapping.odometry.calibration import TURNING, Calibration
 from mapping.odometry.contacts import contacts_of
 from mapping.odometry.deskew import Deskewer
@@ -95,7 +95,10 @@ class LidarInertialOdometry:
         self._startup = Startup()
         self._before: Before | None = None
         self._scale = WheelScale()
-        self._agreement = Agreement()
+        self._agreement = Agreement(SCANS_DISAGREE)
+        self._distances = Scale()
+        self._coasting = Agreement(IMU_DISAGREES)
+        """IMU and wheels since the last scan that was used."""
         self._rolled, self._turned = math.nan, 0.0
         """What wheels [m] and gyro [rad] tell of the way and the turn since the last scan."""
         self._each = np.full(4, np.nan)
@@ -171,14 +174,12 @@ class LidarInertialOdometry:
             return None
         before, since = self._filter.pose(), self._filter.stamp
         stamps, track = self._predict(sweep.end)
-        streams = self._inbox.streams
+        repeats = self._inbox.repeats
         if sweep.name != "main":
-            silent = "" if streams["main"].words else "the main LiDAR is silent, "
+            silent = "" if repeats("main") else "the main LiDAR is silent, "
             self._notes.append(f"{silent}the {sweep.name} LiDAR takes its place")
         self._notes += [
-            streams[name].words
-            for name in self.calibration.shift
-            if name != sweep.name and streams[name].words
+            repeats(name) for name in self.calibration.shift if name != sweep.name and repeats(name)
         ]
         along = self._inbox.beside(sweep)
         others = self._deskewer.beside(along, stamps, track)
@@ -201,6 +202,8 @@ class LidarInertialOdometry:
         verdict = self._monitor.judge(
             sweep.end, match, predicted, prior, scans, self._engine.sigma, self._still
         )
+        if verdict.use:
+            self._coasting.forget()
         if verdict.use and scans:
             measured = _rotation_to_body(verdict.covariance, match.pose)
             # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
@@ -226,9 +229,16 @@ class LidarInertialOdometry:
         self._learn_scale(before, sweep.end - since, verdict)
         if verdict.insert and not (searching or verdict.strange):
             after, each = self._filter.pose(), self._each * self._scale.value
-            self._notes += filter(None, [self._agreement.add(sweep.end, before, after, each, self._turned)])
+            self._notes += filter(
+                None,
+                [
+                    self._agreement.add(sweep.end, before, after, each, self._turned),
+                    self._distances.add(before, after, self._each),
+                ],
+            )
         else:
             self._agreement.forget()
+            self._distances.forget()
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
             self._health = Health.DEGRADED
@@ -327,7 +337,7 @@ class LidarInertialOdometry:
                 continue
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
-                self._notes.append(self._inbox.streams[topic].words or f"no {name} data")
+                self._notes.append(self._inbox.repeats(topic) or f"no {name} data")
         stamps, track = self._advance(end)
         if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
             self._notes.append(f"no IMU data for {silence / NS:.1f} s")
@@ -347,7 +357,7 @@ class LidarInertialOdometry:
         self._rolled = (
             float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
         )
-        x, variance = state.x.copy(), np.diag(state.p)[[0, 1, 8]]
+        x, variance, before = state.x.copy(), np.diag(state.p)[[0, 1, 8]], state.pose()
         inside = imu[imu_stamp <= end]
         self._still = bool(touching and still(inside, x[10:13], joints, wheel))
         rate = float(inside[:, 2].mean()) if len(inside) else x[12]
@@ -360,9 +370,14 @@ class LidarInertialOdometry:
         speed = float(np.linalg.norm(state.x[3:6]))
         gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))
         fast = max(gained / FASTEST, abs(state.x[5]) / FALLS if touching else 0.0)
-        self._untrue = self._inbox.streams["imu"].words
-        if IMPOSSIBLE_SPEED.outside(fast):
-            self._untrue = IMPOSSIBLE_SPEED.tell(speed=speed)
+        self._untrue = self._inbox.repeats("imu")
+        cannot_be = IMPOSSIBLE_SPEED.tell(speed=speed) if IMPOSSIBLE_SPEED.outside(fast) else ""
+        if not self._untrue:
+            apart = self._coasting.add(end, before, state.pose(), self._each * scale, self._turned)
+            cannot_be = cannot_be or apart
+        if cannot_be:
+            self._untrue = cannot_be
+            self._coasting.forget()
             state.refuse(x)
         elif self._still:
             state.hold(x, variance, rate)
@@ -399,8 +414,8 @@ class LidarInertialOdometry:
     def _dead_reckoned(self, *reasons: str) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        stamp, streams = self._filter.stamp, self._inbox.streams
-        untrue = self._untrue or streams[self._inbox.pace].words
+        stamp, inbox = self._filter.stamp, self._inbox
+        untrue = self._untrue or inbox.repeats(inbox.pace)
         reason = "; ".join(dict.fromkeys(filter(None, [untrue, *reasons, *self._notes])))
         self._notes.clear()
         if untrue:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hal.types import NS, ImuSample, JointSample, LidarScan
+from hal.types import GRAVITY, NS, ImuSample, JointSample, LidarScan
 
 
 class Hearer(Protocol):
@@ -38,6 +38,7 @@ def rehearse(odometry: Hearer) -> None:
         odometry.add_scan(LidarScan(start, points))
         for i in range(20):
             stamp = start + 1 + i * 5_000_000
-            odometry.add_imu(ImuSample(stamp, noise.normal(0.0, 1e-3, 3), np.array([0.0, 0.0, 9.81])))
+            gyro, accel = noise.normal(0.0, 1e-3, (2, 3))
+            odometry.add_imu(ImuSample(stamp, gyro, accel + np.array([0.0, 0.0, GRAVITY])))
             odometry.add_joints(JointSample(stamp, noise.normal(0.0, 1e-4, 16), np.zeros(16), np.zeros(16)))
         odometry.poll()

@@ -15,13 +15,14 @@ from hal.safety.monitors import (
     GRAVITY_SIDE,
     GRAVITY_SIZE,
     IMPOSSIBLE_SPEED,
+    POINT_TIMES,
     STAMP_AHEAD,
     SWEEP_CLOCK,
     taken_out,
 )
 from hal.types import NS, POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
-from mapping.odometry.intake import SampleBuffer, TopicClock, clean_scan
+from mapping.odometry.intake import SampleBuffer, SweepClock, TopicClock, clean_scan
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.types import ScanOdometry
 from tools.synthetic import arena_run
@@ -354,7 +355,7 @@ def test_one_imu_stamp_ahead_costs_its_sample_and_is_told(samples: list[Sample],
         assert not any("ahead" in r for r in run()[1])
 
 
-@pytest.mark.parametrize("step", [-0.3, -0.08, 0.25, 0.9, -7.0, 50.0])
+@pytest.mark.parametrize("step", [-0.3, -0.08, 0.08, 0.15, 0.25, 0.9, -7.0, 50.0])
 def test_a_lidar_whose_clock_steps_alone_is_not_used_and_the_text_names_its_clock(
     samples: list[Sample], step: float
 ) -> None:
@@ -372,6 +373,40 @@ def test_a_lidar_whose_clock_steps_alone_is_not_used_and_the_text_names_its_cloc
         odometry = LidarInertialOdometry()
         feed(odometry, wrong)
         assert not odometry._inbox.refused()
+
+
+def test_sweeps_that_go_on_while_the_next_ones_come_are_refused_by_their_times(samples: list[Sample]) -> None:
+    """A tenth of the points is told 0.15 s late: too many for strays, too near for another sweep."""
+    when = samples[0].stamp + 2 * NS
+
+    def spoiled(scan: LidarScan) -> LidarScan:
+        points = scan.points.copy()
+        points["time"][::10] += 0.15
+        return replace(scan, points=points)
+
+    wrong = [spoiled(s) if isinstance(s, LidarScan) and s.stamp > when else s for s in samples]
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, wrong)
+    assert results[-1].stamp <= when + NS // 5
+    (told,) = odometry._inbox.refused()
+    assert told.startswith("point field 'time' holds 0.25 s of a sweep that comes every 0.10 s")
+    with taken_out(POINT_TIMES.name):
+        assert feed(LidarInertialOdometry(), wrong)[-1].stamp > when + NS // 2
+
+
+def test_a_lidar_that_loses_sweeps_beside_an_imu_whose_samples_wait_is_used_again(
+    samples: list[Sample],
+) -> None:
+    """A hole in its stamps and an early sweep together tell a step of its clock, each of the two alone tells none."""
+    clock, period, told = SweepClock(), NS // 10, {}
+    early = {20: 0.08, 40: 0.08}
+    for k in range(60):
+        if k in (29, 39):
+            continue
+        start = NS + k * period
+        imu = start + period + round((0.02 - early.get(k, 0.0)) * NS)
+        told[k] = clock.off(start, start + period, imu, 20 * k)
+    assert {k: off for k, off in told.items() if off} == {40: pytest.approx(0.08)}
 
 
 @pytest.mark.parametrize("late", [0.1, 0.3])

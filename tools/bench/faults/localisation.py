@@ -11,6 +11,7 @@ import numpy as np
 from hal.mujoco.backend import MujocoBackend
 from hal.safety.monitors import (
     IMPOSSIBLE_SPEED,
+    IMU_PART_REPEATS,
     IMU_REPEATS,
     JOINTS_REPEAT,
     LIDAR_REPEATS,
@@ -165,7 +166,7 @@ FAULTS = (
         says=("repeats its sweep",),
     ),
     Fault(
-        "frozen_imu", (IMU_REPEATS,), (0.3, 0.5), _while_driving(_frozen(ImuSample)), rest=0.5, error=0.25,
+        "frozen_imu", (IMU_REPEATS, IMU_PART_REPEATS), (0.3, 0.5), _while_driving(_frozen(ImuSample)), rest=0.5, error=0.25,
         says=("IMU repeats",),
     ),
     Fault(

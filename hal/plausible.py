@@ -12,7 +12,9 @@ from hal.safety.monitors import (
     ACCELERATION,
     GRAVITY_SIDE,
     GRAVITY_SIZE,
+    JOINT_ANGLE,
     JOINT_SPEED,
+    JOINT_TORQUE,
     MOTOR_LOST,
     TURN_RATE,
     UPRIGHT,
@@ -30,6 +32,8 @@ _TRUST = 5.0
 """[s] Time constant that draws the gyro's direction to the measured one: a bias of 1 deg/s puts it off by 5 deg."""
 _GAP = NS // 5
 """[ns] without a sample after which the gyro tells nothing of the direction."""
+WHEELS = np.arange(16) >= 12
+"""(16,) of the motors."""
 
 
 class ImuCheck:
@@ -121,10 +125,11 @@ def _between(a: tuple[float, ...], b: tuple[float, ...]) -> float:
 
 def impossible_joints(position: Array, velocity: Array, effort: Array) -> str:
     """Which motor, of (16,) [rad], [rad/s], [Nm] in SDK order, tells what it cannot; empty where none does."""
-    speed = np.where(np.isfinite(position) & np.isfinite(effort), velocity, np.nan)
-    worst = int(np.argmax(np.where(np.isfinite(speed), np.abs(speed), np.inf)))
-    if JOINT_SPEED.outside(float(speed[worst])):
-        return JOINT_SPEED.tell(motor=MOTORS[worst], value=float(speed[worst]))
+    angle = np.where(WHEELS & np.isfinite(position), 0.0, position)  # wheels turn on and on
+    for row, values in ((JOINT_SPEED, velocity), (JOINT_ANGLE, angle), (JOINT_TORQUE, effort)):
+        worst = int(np.argmax(np.where(np.isfinite(values), np.abs(values), np.inf)))
+        if row.outside(float(values[worst])):
+            return row.tell(motor=MOTORS[worst], value=float(values[worst]))
     return ""
 
 

@@ -304,9 +304,35 @@ JOINT_SPEED = Monitor(
     "robot, odometry",
     "joints: {motor} tells {value:.3g} rad/s, possible are {low:g} to {high:g}",
     "look at this motor and its encoder",
-    low=-200.0,  # five times what the motors reach; a value that is no number is beyond it
+    low=-200.0,  # five times what the motors reach
     high=200.0,
     unit="rad/s",
+    test="hal/test_plausible.py",
+)
+JOINT_ANGLE = Monitor(
+    "joint angle",
+    "joints",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "joints: {motor} tells an angle of {value:.3g} rad, possible are {low:g} to {high:g}",
+    "look at this motor and its encoder",
+    low=-7.0,  # no joint of a leg turns all the way round
+    high=7.0,
+    unit="rad",
+    test="hal/test_plausible.py",
+)
+JOINT_TORQUE = Monitor(
+    "joint torque",
+    "joints",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "joints: {motor} tells {value:.3g} Nm, possible are {low:g} to {high:g}",
+    "look at this motor and its driver",
+    low=-400.0,  # nine times the strongest motor of these robots
+    high=400.0,
+    unit="Nm",
     test="hal/test_plausible.py",
 )
 MOTOR_LOST = Monitor(

@@ -19,6 +19,8 @@ MOVED, TURNED = 0.4, math.radians(6.0)
 
 WAY = 1.0
 """[m] that wheels roll, over which the distances of the scans are judged."""
+LEVEL = math.cos(math.radians(12.0))
+"""Least cosine of the tilt there: on stairs all wheels roll up each riser, which is no way ahead."""
 
 
 def way_ahead(before: Array, after: Array) -> float:
@@ -82,6 +84,8 @@ class Scale:
         words that the scans tell another way; empty while they do not."""
         if not np.isfinite(rolled).all():
             self.forget()
+            return ""
+        if after[2, 2] < LEVEL:
             return ""
         self._steps.append((float(np.abs(rolled).mean()), apart(before, after, rolled)))
         way = math.fsum(way for way, _ in self._steps)

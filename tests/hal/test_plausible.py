@@ -16,7 +16,9 @@ from hal.safety.monitors import (
     ACCELERATION,
     GRAVITY_SIDE,
     GRAVITY_SIZE,
+    JOINT_ANGLE,
     JOINT_SPEED,
+    JOINT_TORQUE,
     TURN_RATE,
     UPRIGHT,
     taken_out,
@@ -115,7 +117,7 @@ def test_what_is_beyond_the_range_costs_its_sample_alone(wrong: float) -> None:
         assert "acceleration" not in imu.feed(0.005, np.array([0.0, wrong, 9.81]))[0]
 
 
-def test_joints_and_motors_are_named() -> None:
+def test_speeds_of_joints_are_named() -> None:
     fine, fast = np.zeros(16), np.zeros(16)
     assert impossible_joints(fine, fine, fine) == ""
     fast[13] = -1e9
@@ -123,11 +125,24 @@ def test_joints_and_motors_are_named() -> None:
         impossible_joints(fine, fast, fine)
         == f"joints: {MOTORS[13]} tells -1e+09 rad/s, possible are -200 to 200"
     )
-    assert f"{MOTORS[2]} tells nan" in impossible_joints(
-        np.where(np.arange(16) == 2, np.nan, 0.0), fine, fine
-    )
     with taken_out(JOINT_SPEED.name):
         assert impossible_joints(fine, fast, fine) == ""
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -np.inf, 1e3, -1e300])
+def test_angles_and_torques_are_named(wrong: float) -> None:
+    fine, second = np.zeros(16), np.where(np.arange(16) == 2, wrong, 0.0)
+    assert impossible_joints(second, fine, fine).startswith(
+        f"joints: {MOTORS[2]} tells an angle of {wrong:.3g} rad"
+    )
+    assert impossible_joints(fine, fine, second).startswith(f"joints: {MOTORS[2]} tells {wrong:.3g} Nm")
+    wheel = np.roll(second, 10)
+    assert bool(impossible_joints(wheel, fine, fine)) != np.isfinite(wrong), "wheels turn on and on"
+    with taken_out(JOINT_ANGLE.name, JOINT_TORQUE.name):
+        assert impossible_joints(second, fine, second) == ""
+
+
+def test_motors_that_lost_messages_are_named() -> None:
     lost = np.zeros(16, np.uint32)
     assert lost_motor(lost, lost) == ""
     lost[4] = 9999

@@ -195,7 +195,7 @@ def test_an_impossible_speed_is_lost_at_once_and_does_not_carry_the_pose(
     assert max(np.linalg.norm(s.linear) for s in out.scans) < 2.0
     assert out.scans[-1].health is Health.GOOD
     assert error(run, out.scans, 10, -1)[0] < 0.05
-    with taken_out(monitors.IMPOSSIBLE_SPEED.name):
+    with taken_out(monitors.IMPOSSIBLE_SPEED.name, monitors.IMU_DISAGREES.name):
         assert max(np.linalg.norm(s.linear) for s in Driven(shoved).scans) > 4.0
 
 
@@ -220,7 +220,7 @@ def test_wheels_that_spin_are_told_within_a_second(recorded: tuple[SyntheticRun,
     assert start < told[0] <= start + 1.0 * NS
     assert {s.health for s in out.scans if s.stamp in told} == {Health.DEGRADED}
     assert error(run, out.scans, 10, -1)[0] < 0.03
-    with taken_out(monitors.SCANS_DISAGREE.name):
+    with taken_out(monitors.SCANS_DISAGREE.name, monitors.SCANS_SCALE.name):
         assert {s.health for s in Driven(spun(samples, slice(None))).scans if s.stamp in told} == {
             Health.GOOD
         }

@@ -11,12 +11,14 @@ import numpy as np
 from hal.mujoco.backend import MujocoBackend
 from hal.safety.monitors import (
     IMPOSSIBLE_SPEED,
+    IMU_DISAGREES,
     IMU_PART_REPEATS,
     IMU_REPEATS,
     JOINTS_REPEAT,
     LIDAR_REPEATS,
     MOVED_WHILE_STILL,
     SCANS_DISAGREE,
+    SCANS_SCALE,
 )
 from hal.types import NS, ImuSample, JointSample, LidarScan, Sample
 from rbtrg_robot import topics as t
@@ -174,14 +176,14 @@ FAULTS = (
         says=("joints repeat",),
     ),
     Fault(
-        "spinning wheels", (SCANS_DISAGREE,), (0.3, 0.5), _while_driving(_spinning), error=0.25,
+        "spinning wheels", (SCANS_DISAGREE, SCANS_SCALE), (0.3, 0.5), _while_driving(_spinning), error=0.25,
         says=("all wheels slip",),
     ),
     Fault("open ground", (), (5.0, 8.0), _open_ground, error=0.25, says=("reached",)),
     Fault("crowd, standing", (), (2.0, 10.0, 6.0), _stands_in_a_crowd, rest=0.0, error=0.05),
     Fault("crowd, driving", (), (2.0, 10.0, 6.0), _in_a_crowd, error=0.25, says=("reached",)),
     Fault(
-        "impossible_speed", (IMPOSSIBLE_SPEED,), (0.3, 0.5), _while_driving(_shoved), error=0.25,
+        "impossible_speed", (IMPOSSIBLE_SPEED, IMU_DISAGREES), (0.3, 0.5), _while_driving(_shoved), error=0.25,
         says=("as no robot can",),
     ),
     Fault(

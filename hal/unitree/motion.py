@@ -19,6 +19,8 @@ WHEELS = slice(12, 16)
 """Slots of the wheels among the motors, as in `hal.robots.go2w.facts`."""
 WHEEL_RADIUS = 0.086
 """[m], as in `hal.robots.go2w.facts`."""
+HALF_TRACK = 0.193
+"""[m] from the middle to the wheels of a side, as in `hal.robots.go2w.facts`."""
 WINDOW = 0.3
 """[s] that is averaged: the sway of legs and trunk after a stop lasts as long in each direction, and is no motion."""
 SAMPLE = 0.015
@@ -61,8 +63,8 @@ class Motion:
     """Speed and slope over the last moments, from LowState and sportmodestate. Times in s of any clock that goes on."""
 
     def __init__(self) -> None:
-        self._kept: deque[tuple[float, float, float, float, float]] = deque()
-        """When, speed of the wheels, x and y of the robot's estimate [m/s], yaw rate [rad/s]."""
+        self._kept: deque[tuple[float, float, float, float, float, float]] = deque()
+        """When, speed of the wheels, x and y of the robot's estimate [m/s], yaw rate by gyro and by wheels [rad/s]."""
         self._sport: tuple[float, float, float] | None = None
         """When, and the robot's estimate x, y [m/s]."""
         self.slope = 0.0
@@ -82,7 +84,10 @@ class Motion:
         """A LowState with a new tick."""
         if self._kept and 0.0 <= now - self._kept[-1][0] < SAMPLE:
             return
-        wheels = float(low["motor_state"]["dq"][WHEELS].mean()) * WHEEL_RADIUS
+        right, left = (
+            float(low["motor_state"]["dq"][WHEELS][side::2].mean()) * WHEEL_RADIUS for side in (0, 1)
+        )
+        wheels, spin = 0.5 * (right + left), 0.5 * (right - left) / HALF_TRACK
         turn = float(low["imu_state"]["gyroscope"][2])
         x, y = wheels, 0.0  # alone, the wheels are believed
         if self._sport is not None and 0.0 <= now - self._sport[0] < OLD:
@@ -91,7 +96,7 @@ class Motion:
             return
         if self._kept and now < self._kept[-1][0]:
             self._kept.clear()
-        self._kept.append((now, wheels, x, y, turn))
+        self._kept.append((now, wheels, x, y, turn, spin))
         while now - self._kept[0][0] > WINDOW:
             self._kept.popleft()
         w, i, j, k = (float(v) for v in low["imu_state"]["quaternion"])
@@ -103,12 +108,12 @@ class Motion:
     def speed(self, now: float) -> float | None:
         """Mean [m/s] of the last `WINDOW`, or half the yaw rate if that is more; None if nothing is heard.
 
-        Wheels and the robot's estimate must agree, and the slower counts: a spinning wheel or a drifting estimate is
-        no motion."""
+        Wheels and the robot's estimate must agree, and in a turn wheels and gyro. The slower counts: a spinning wheel,
+        a drifting estimate or a gyro with a bias is no motion."""
         if not self._kept or not 0.0 <= now - self._kept[-1][0] < OLD:
             return None
-        _, wheels, x, y, turn = np.mean(self._kept, axis=0)
-        return float(max(min(abs(wheels), math.hypot(x, y)), 0.5 * abs(turn)))
+        _, wheels, x, y, turn, spin = np.mean(self._kept, axis=0)
+        return float(max(min(abs(wheels), math.hypot(x, y)), 0.5 * min(abs(turn), abs(spin))))
 
     @property
     def downhill(self) -> bool:

@@ -28,6 +28,7 @@ from hal.unitree.layout import (
     low_state_checksum,
 )
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE
+from hal.unitree.motion import HALF_TRACK
 
 HOLD = 1.0
 """[s] the last Move is kept."""
@@ -173,7 +174,7 @@ class KinematicBody:
         self.yaw += self.wz * dt
         self.accel = np.array([dv / dt, 0.0, 9.81])
         self.gyro = np.array([0.0, 0.0, self.wz])
-        self.dq[12:] = self.v / go2w.WHEEL_RADIUS
+        self.dq[12:] = (self.v + self.wz * HALF_TRACK * np.array([1.0, -1.0, 1.0, -1.0])) / go2w.WHEEL_RADIUS
         self.q[12:] += self.dq[12:] * dt
 
     def scan(self) -> np.ndarray | None:

@@ -24,12 +24,15 @@ from hal.unitree.sentry import Sentry
 from tests.hal.unitree.robot import Faults
 from tests.hal.unitree.world import World
 
+BESIDE = motion.HALF_TRACK * np.array([1.0, -1.0, 1.0, -1.0])
+"""[m] of the wheels FR, FL, RR, RL to the right."""
 
-def low(speed: float, wz: float = 0.0, pitch: float = 0.0, tick: int = 0) -> np.ndarray:
-    """A LowState of a robot that rolls [m/s], turns [rad/s] and has its nose down [rad]."""
+
+def low(speed: float, wz: float = 0.0, pitch: float = 0.0, tick: int = 0, bias: float = 0.0) -> np.ndarray:
+    """A LowState of a robot that rolls [m/s], turns [rad/s] and has its nose down [rad]; `bias` [rad/s] of its gyro."""
     out = np.zeros(1, LOW_STATE_CDR)
-    out[0]["motor_state"]["dq"][12:16] = speed / go2w.WHEEL_RADIUS
-    out[0]["imu_state"]["gyroscope"] = (0.0, 0.0, wz)
+    out[0]["motor_state"]["dq"][12:16] = (speed + wz * BESIDE) / go2w.WHEEL_RADIUS
+    out[0]["imu_state"]["gyroscope"] = (0.0, 0.0, wz + bias)
     out[0]["imu_state"]["quaternion"] = (math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0)
     out[0]["tick"] = tick
     return out
@@ -50,13 +53,19 @@ class Rolling:
         self.sent: list[tuple[float, Sport]] = []
 
     def run(
-        self, seconds: float, speed: float, estimate: float | None = None, wz: float = 0.0, pitch: float = 0.0
+        self,
+        seconds: float,
+        speed: float,
+        estimate: float | None = None,
+        wz: float = 0.0,
+        pitch: float = 0.0,
+        bias: float = 0.0,
     ) -> None:
         for _ in range(round(seconds / 0.02)):
             self.now += 0.02
             if estimate is not None:
                 self.motion.hear_sport(sport(estimate)[0], self.now)
-            self.motion.hear_low(low(speed, wz, pitch)[0], self.now)
+            self.motion.hear_low(low(speed, wz, pitch, bias=bias)[0], self.now)
             order = self.halt.due(self.now, self.motion)
             if order is not None:
                 self.sent.append((self.now, order))
@@ -73,6 +82,7 @@ class Rolling:
 def test_the_wheels_are_those_of_the_robot() -> None:
     assert motion.WHEELS == go2w.WHEELS
     assert motion.WHEEL_RADIUS == go2w.WHEEL_RADIUS
+    assert pytest.approx(go2w.HIP_Y + go2w.THIGH_Y + go2w.TREAD_Y, abs=1e-3) == motion.HALF_TRACK
 
 
 @given(roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), speed=st.sampled_from([-0.2, 0.2]))
@@ -143,7 +153,9 @@ def test_what_turns_on_the_spot_is_told_again() -> None:
     assert math.isfinite(robot.soft)
 
 
-@pytest.mark.parametrize("case", ["brakes", "sways", "wheel spins", "estimate drifts", "remote", "lifted"])
+@pytest.mark.parametrize(
+    "case", ["brakes", "sways", "wheel spins", "estimate drifts", "gyro drifts", "remote", "lifted"]
+)
 def test_what_is_no_rolling_on_ends_the_order(case: str) -> None:
     robot = Rolling()
     robot.run(1.0, 0.8, 0.8)
@@ -156,6 +168,8 @@ def test_what_is_no_rolling_on_ends_the_order(case: str) -> None:
     elif case == "sways":
         for k in range(250):
             robot.run(0.02, 0.15 * math.cos(2 * math.pi * k / 15), 0.15)
+    elif case == "gyro drifts":
+        robot.run(5.0, 0.0, 0.0, bias=0.3)
     elif case == "wheel spins":
         robot.run(5.0, 0.4, 0.02)
     elif case == "estimate drifts":

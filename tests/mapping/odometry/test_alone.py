@@ -89,7 +89,7 @@ def test_speed_of_other_wheels_takes_the_place_of_joints() -> None:
         stamp = NS + k * 5_000_000
         moving = k > 300
         odometry.add_imu(
-            ImuSample(stamp, np.full(3, 1e-6 * k), np.array([0.0, 0.0, 9.81]))
+            ImuSample(stamp, np.full(3, 1e-6 * k), np.array([1e-6 * k, 0.0, 9.81]))
         )  # a dead one repeats itself
         if k % 4 == 0:
             odometry.add_speed(stamp, np.array([0.5 * moving, 0.0, 0.0]))
@@ -103,7 +103,7 @@ def test_silent_wheels_are_lost() -> None:
     for k in range(400):
         stamp = NS + k * 5_000_000
         odometry.add_imu(
-            ImuSample(stamp, np.full(3, 1e-6 * k), np.array([0.0, 0.0, 9.81]))
+            ImuSample(stamp, np.full(3, 1e-6 * k), np.array([1e-6 * k, 0.0, 9.81]))
         )  # a dead one repeats itself
     last = odometry.poll()[-1]
     assert last.health is Health.LOST

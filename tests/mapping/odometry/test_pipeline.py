@@ -350,7 +350,8 @@ def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
     blind: list[Sample] = []
     rng = np.random.default_rng(1)
     for stamp in range(end, there.start_stamp, NS // 200):
-        blind.append(ImuSample(stamp, rng.normal(0.0, 1e-3, 3), np.array([0.0, 0.0, 9.81])))
+        gyro, accel = rng.normal(0.0, 1e-3, (2, 3))
+        blind.append(ImuSample(stamp, gyro, accel + np.array([0.0, 0.0, 9.81])))
         blind.append(JointSample(stamp, last.position, rng.normal(0.0, 1e-3, 16), last.effort))
     out = Driven([*samples, *blind, *(s for s in there.samples() if not isinstance(s, GroundTruth))])
     seen = [s for s in out.scans if s.stamp > there.start_stamp]

@@ -19,6 +19,8 @@ MOVED, TURNED = 0.4, math.radians(6.0)
 
 WAY = 1.0
 """[m] that wheels roll, over which the distances of the scans are judged."""
+AGREED = 0.9
+"""Share of it over which they must agree again."""
 LEVEL = math.cos(math.radians(12.0))
 """Least cosine of the tilt there: on stairs all wheels roll up each riser, which is no way ahead."""
 
@@ -78,21 +80,35 @@ class Scale:
     def __init__(self) -> None:
         self._steps: deque[tuple[float, Array]] = deque()
         """Of each step [m]: mean way of the wheels, and by how much the scans came farther than each (4,)."""
+        self.words = ""
+        """That the scans tell another way, until they agreed for a metre; else empty."""
+        self._sum = np.zeros(4)
+        """[m] by which they came farther than each wheel, as long as there are words."""
 
-    def add(self, before: Array, after: Array, rolled: Array) -> str:
-        """A step led from `before` (4, 4) to `after`; each wheel rolled `rolled` (4,) [m], NaN if unknown. Returns in
-        words that the scans tell another way; empty while they do not."""
+    def add(self, before: Array, after: Array, rolled: Array) -> None:
+        """A step led from `before` (4, 4) to `after`; each wheel rolled `rolled` (4,) [m], NaN if unknown."""
         if not np.isfinite(rolled).all():
             self.forget()
-            return ""
+            return
         if after[2, 2] < LEVEL:
-            return ""
-        self._steps.append((float(np.abs(rolled).mean()), apart(before, after, rolled)))
+            return
+        step = apart(before, after, rolled) * np.sign(rolled.mean())  # there and back does not cancel
+        self._steps.append((float(np.abs(rolled).mean()), step))
         way = math.fsum(way for way, _ in self._steps)
         while way - self._steps[0][0] > WAY:
             way -= self._steps.popleft()[0]
-        off = between([off for _, off in self._steps])
-        return SCANS_SCALE.tell(way=way, off=off) if SCANS_SCALE.outside(off) else ""
+        steps = [off for _, off in self._steps]
+        off = between(steps)
+        self._sum = self._sum + step if self.words else np.sum(steps, axis=0)
+        if SCANS_SCALE.outside(off):
+            self.words = SCANS_SCALE.tell(way=way, off=off)
+        elif way > AGREED * WAY and off < 0.5 * SCANS_SCALE.high:
+            self.words = ""
+
+    @property
+    def unsure(self) -> float:
+        """[m] of the place that scans and wheels tell differently; 0 while there are no words."""
+        return between([self._sum]) if self.words else 0.0
 
     def forget(self) -> None:
         """Break the comparison: the robot was found elsewhere."""

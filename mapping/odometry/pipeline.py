@@ -229,16 +229,12 @@ class LidarInertialOdometry:
         self._learn_scale(before, sweep.end - since, verdict)
         if verdict.insert and not (searching or verdict.strange):
             after, each = self._filter.pose(), self._each * self._scale.value
-            self._notes += filter(
-                None,
-                [
-                    self._agreement.add(sweep.end, before, after, each, self._turned),
-                    self._distances.add(before, after, self._each),
-                ],
-            )
+            self._notes += filter(None, [self._agreement.add(sweep.end, before, after, each, self._turned)])
+            self._distances.add(before, after, self._each)
         else:
             self._agreement.forget()
             self._distances.forget()
+        self._notes += filter(None, [self._distances.words])
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
             self._health = Health.DEGRADED
@@ -457,8 +453,9 @@ class LidarInertialOdometry:
         )
 
     def _place_variance(self) -> float:
-        """Of x and y in `odom` [m^2]: where the robot is on its map, and where that was made."""
-        return float(np.linalg.eigvalsh(self._filter.output(ZERO).covariance[:2, :2])[-1]) + self._born
+        """Of x and y in `odom` [m^2]: where the robot is on its map, where that was made, and how large it is."""
+        here = float(np.linalg.eigvalsh(self._filter.output(ZERO).covariance[:2, :2])[-1])
+        return here + self._born + self._distances.unsure**2
 
     def _rejoin(self) -> None:
         self._stream.rejoin(self._filter)

@@ -142,6 +142,9 @@ def test_distances_in_another_unit_are_told(recorded: tuple[SyntheticRun, list[S
     good = [k for k, s in enumerate(out.scans) if s.health is Health.GOOD]
     assert max(error(run, out.scans, 0, k)[0] for k in good) < 0.25
     assert monitors.SCANS_SCALE in monitors.raised(out.scans[-1].reason)
+    assert out.scans[-1].place_sigma == pytest.approx(error(run, out.scans, 0, -1)[0], rel=0.3), (
+        "no goal is reached"
+    )
     with taken_out(monitors.SCANS_SCALE.name):
         out = Driven(wrong)
         assert out.scans[-1].health is Health.GOOD

@@ -78,6 +78,26 @@ def _frozen(kind: type[Sample]) -> Callable[[], Change]:
     return start
 
 
+def _dead(part: str) -> Callable[[], Change]:
+    """One part of the IMU tells what it told last, while the other one lives."""
+
+    def start() -> Change:
+        held: list[np.ndarray] = []
+
+        def change(samples: list[Sample]) -> list[Sample]:
+            out = []
+            for sample in samples:
+                if isinstance(sample, ImuSample):
+                    held[:] = held or [getattr(sample, part)]
+                    sample = replace(sample, **{part: held[0]})
+                out.append(sample)
+            return out
+
+        return change
+
+    return start
+
+
 def _shoved() -> Change:
     """For a fifth of a second the accelerometer says 100 m/s^2 ahead."""
     until: list[int] = []
@@ -105,6 +125,30 @@ def _spinning() -> Change:
         ]
 
     return change
+
+
+def _other_unit(unit: float, seed: int) -> Outcome:
+    """A LiDAR whose distances are told in another unit [m], from the start, on the way to a goal."""
+
+    def change(samples: list[Sample]) -> list[Sample]:
+        out = []
+        for sample in samples:
+            if isinstance(sample, LidarScan):
+                points = sample.points.copy()
+                for axis in "xyz":
+                    points[axis] /= unit
+                sample = replace(sample, points=points)
+            out.append(sample)
+        return out
+
+    stack = Lockstep(load(None, ["record=false", "sim.lidar_step=8", f"seed={seed}"], scene="yard"))
+    tap(stack, change)
+    stack.wait_ready()
+    with Watch(stack) as watch:
+        x, y, _ = stack.config.start_pose()
+        stack.send_goal(x + WAY, y)
+        stack.run(12.0)
+        return watch.outcome()
 
 
 SIGHTS = "field", "field_wall", "field_posts"
@@ -170,6 +214,18 @@ FAULTS = (
     Fault(
         "frozen_imu", (IMU_REPEATS, IMU_PART_REPEATS), (0.3, 0.5), _while_driving(_frozen(ImuSample)), rest=0.5, error=0.25,
         says=("IMU repeats",),
+    ),
+    Fault(
+        "dead gyro", (IMU_PART_REPEATS,), (0.3, 0.5), _while_driving(_dead("gyro")), rest=0.7, error=0.25,
+        says=("the gyro of the IMU",),
+    ),
+    Fault(
+        "dead accelerometer", (IMU_PART_REPEATS,), (0.3, 0.5), _while_driving(_dead("accel")), rest=0.7, error=0.25,
+        says=("the accelerometer of the IMU",),
+    ),
+    Fault(
+        "LiDAR in another unit", (SCANS_SCALE,), (2.0, 0.5), _other_unit, error=0.25,
+        says=("the LiDAR's distances are wrong",),
     ),
     Fault(
         "frozen joints", (JOINTS_REPEAT,), (0.3, 0.5), _while_driving(_frozen(JointSample)), error=0.25,

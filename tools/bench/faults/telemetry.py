@@ -14,7 +14,9 @@ from hal.safety.monitors import (
     CLOCK_STEP,
     GRAVITY_SIDE,
     GRAVITY_SIZE,
+    JOINT_ANGLE,
     JOINT_SPEED,
+    JOINT_TORQUE,
     MOTOR_LOST,
     POINT_TIMES,
     STAMP_AHEAD,
@@ -144,15 +146,15 @@ def _gyro(rate: float) -> Callable[[list[Sample]], list[Sample]]:
     return _each(lambda s: replace(s, gyro=s.gyro + rate) if isinstance(s, ImuSample) else s)
 
 
-def _one_joint(rate: float) -> Callable[[list[Sample]], list[Sample]]:
-    """The first motor's encoder [rad/s]."""
+def _one_joint(field: str, value: float) -> Callable[[list[Sample]], list[Sample]]:
+    """What the first motor tells, in the unit of a `field` of its sample."""
 
     def edit(sample: Sample) -> Sample:
         if not isinstance(sample, JointSample):
             return sample
-        velocity = sample.velocity.copy()
-        velocity[0] = rate
-        return replace(sample, velocity=velocity)
+        values = getattr(sample, field).copy()
+        values[0] = value
+        return replace(sample, **{field: values})
 
     return _each(edit)
 
@@ -199,7 +201,9 @@ FAULTS = (
     Fault("clock of the sweeps set", (SWEEP_CLOCK,), (-0.3, 0.25), partial(_in_lockstep, _lidar_clock, 2.5), error=0.05, says=("the clock of the main LiDAR is",)),
     Fault("IMU in g or reversed", (GRAVITY_SIZE, GRAVITY_SIDE), (1 / 9.81, -1.0), partial(_in_lockstep, _imu_scale, 2.5), rest=1.5, error=0.05, says=("IMU", "wrong")),
     Fault("impossible turn rate", (TURN_RATE,), (40.0, 1e20), partial(_in_lockstep, _gyro, 2.5), rest=1.5, error=0.05, says=("a turn rate of",)),
-    Fault("impossible joint speed", (JOINT_SPEED,), (1e3, 1e20), partial(_in_lockstep, _one_joint, 2.5), error=0.05, says=("joints:", "rad/s, possible")),
+    Fault("impossible joint speed", (JOINT_SPEED,), (1e3, 1e20), partial(_in_lockstep, partial(_one_joint, "velocity"), 2.5), error=0.05, says=("joints:", "rad/s, possible")),
+    Fault("impossible joint angle", (JOINT_ANGLE,), (50.0, 1e20), partial(_in_lockstep, partial(_one_joint, "position"), 2.5), error=0.05, says=("joints:", "tells an angle of")),
+    Fault("impossible joint torque", (JOINT_TORQUE,), (1e3, 1e20), partial(_in_lockstep, partial(_one_joint, "effort"), 2.5), error=0.05, says=("joints:", "Nm, possible")),
     Fault("IMU stamp ahead", (STAMP_AHEAD,), (3.0, 0.3), partial(_in_lockstep, _imu_ahead, 2.0), error=0.05, says=("IMU: a stamp",)),
     Fault("one late point", (), (0.3, 20.0), partial(_in_lockstep, _one_late_point, 2.5), error=0.05),
     Fault("times of no sweep", (POINT_TIMES,), (3.0, 40.0), partial(_in_lockstep, _times_of_no_sweep, 2.0), error=0.05, says=("point field 'time' holds",)),

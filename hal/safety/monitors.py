@@ -335,6 +335,44 @@ JOINT_TORQUE = Monitor(
     unit="Nm",
     test="hal/test_plausible.py",
 )
+LOW_RATE = Monitor(
+    "rate of LowState",
+    "LowState",
+    Check.RANGE,
+    Consequence.TELL,
+    "robot",
+    "LowState comes {rate:.0f} times a second, usual are 500: a touch or a wheel that rolls on is felt late",
+    "look at the network and at the load of this computer",
+    low=100.0,  # a touch is felt in 0.05 s: five samples
+    unit="Hz over a second",
+    test="hal/unitree/test_telemetry.py",
+)
+BATTERY = Monitor(
+    "battery",
+    "LowState",
+    Check.RANGE,
+    Consequence.TELL,
+    "robot",
+    "the battery tells {value:.0f} %, possible are {low:.0f} to {high:.0f}: how much is left is not known",
+    "look at the vendor's app before a long way",
+    low=0.0,
+    high=100.0,
+    unit="%",
+    test="hal/unitree/test_telemetry.py",
+)
+ATTITUDE = Monitor(
+    "attitude",
+    "LowState",
+    Check.RANGE,
+    Consequence.TELL,
+    "robot",
+    "the robot's own attitude is a quaternion of length {value:.2g}, it must be 1: whether it has fallen is told by the stack's IMU alone",
+    "restart the robot",
+    low=0.9,
+    high=1.1,
+    unit="length",
+    test="hal/unitree/test_telemetry.py",
+)
 MOTOR_LOST = Monitor(
     "lost motor messages",
     "LowState",

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from hal.safety.monitors import ROLLS_ON
+from hal.safety.monitors import ATTITUDE, ROLLS_ON
 from hal.safety.slope import CREEP, SLOPE
 from hal.unitree.api import Sport
 
@@ -100,7 +100,7 @@ class Motion:
         while now - self._kept[0][0] > WINDOW:
             self._kept.popleft()
         w, i, j, k = (float(v) for v in low["imu_state"]["quaternion"])
-        if math.isfinite(w + i + j + k):
+        if not ATTITUDE.outside(math.hypot(w, i, j, k)):
             self.slope = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (i * i + j * j))))
             self._nose = 2.0 * (i * k - w * j)
         self.remote = remote(low)

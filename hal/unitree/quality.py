@@ -16,6 +16,10 @@ class LinkQuality:
         self._since: int | None = None
         self._newest = 0
         self._gaps = 0
+        self.rate: float | None = None
+        """Messages per second over the last whole second; None before one."""
+        self._second: tuple[int, int] | None = None
+        """When the present second began [ns], and messages since."""
 
     def heard(self, step: int, now: int) -> None:
         """A new message, `step` [ms, the robot's clock] after the last one; `now` [ns]."""
@@ -24,6 +28,10 @@ class LinkQuality:
         else:
             self._count += 1
         self._newest = now
+        begin, count = self._second or (now, 0)
+        if now - begin >= NS:
+            self.rate, begin, count = count * NS / (now - begin), now, 0
+        self._second = begin, count + 1
         self._gaps += GAP < step < 2**31  # further: the robot was restarted
 
     def figures(self) -> dict[str, float]:

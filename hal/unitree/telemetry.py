@@ -12,7 +12,7 @@ import numpy as np
 from hal.plausible import ImuCheck, impossible_joints, lost_motor
 from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation_rpy, up_of
-from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP
+from hal.safety.monitors import ATTITUDE, BATTERY, CLOCK_DRIFT, CLOCK_STEP, LOW_RATE
 from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
 from hal.unitree.clock import RemoteClock
@@ -69,6 +69,10 @@ class Telemetry:
         self.motion = Motion()
         self._turns = Turns()
         self.low: np.void | None = None
+        self.battery = 1.0
+        """State of charge [0..1], as last told; full before that."""
+        self.upright = True
+        """Whether the trunk is less than 60 deg from level, by the robot's attitude filter as last told."""
         self.sport: np.void | None = None
         self._heard_at: int | None = None
         """When the last LowState with a new tick came [ns]."""
@@ -189,10 +193,19 @@ class Telemetry:
         if self._is_due(JOINT_PERIOD):
             motors = low["motor_state"]
             q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
+            self._take_state(low, now)
             self._refuse("motors", lost_motor(motors["lost"][:16], motors["reserve"][:16, 0]), now)
             if not self._refuse("joints", impossible_joints(q, dq, tau), now):
                 out.append(JointSample(self._after(JointSample, stamp), q, dq, tau))
         return out
+
+    def _take_state(self, low: np.void, now: int) -> None:
+        charge, attitude = float(low["bms_state"]["soc"]), low["imu_state"]["quaternion"].astype(np.float64)
+        if not self._refuse("battery", BATTERY.tell(value=charge) if BATTERY.outside(charge) else "", now):
+            self.battery = charge / 100.0
+        length = float(np.linalg.norm(attitude))
+        if not self._refuse("attitude", ATTITUDE.tell(value=length) if ATTITUDE.outside(length) else "", now):
+            self.upright = up_of(attitude)[2] > 0.5
 
     def _is_due(self, period: int) -> bool:
         """Once per `period` [ms] on average, also where LowState comes in steps that do not divide it."""
@@ -274,6 +287,8 @@ class Telemetry:
     def note(self, now: int) -> str:
         """What the newest samples lack, in words; empty when all is well."""
         told = [reason for reason, at in self._refused.values() if now - at < REFUSAL_TOLD]
+        if (rate := self._link_quality.rate) is not None and LOW_RATE.outside(rate):
+            told.append(LOW_RATE.tell(rate=rate))
         clock = self.low_clock
         if clock.stepped_at is not None and now - clock.stepped_at < STEP_TOLD:
             told.append(CLOCK_STEP.tell(source="the robot", step=clock.step / NS))
@@ -387,18 +402,6 @@ class Telemetry:
     def yaw_rate(self) -> float:
         """Measured [rad/s], magnitude."""
         return 0.0 if self.low is None else abs(float(self.low["imu_state"]["gyroscope"][2]))
-
-    @property
-    def upright(self) -> bool:
-        """Whether the trunk is less than 60 deg from level (quaternion w, x, y, z of the robot's attitude filter)."""
-        if self.low is None:
-            return True
-        return up_of(np.asarray(self.low["imu_state"]["quaternion"], np.float64))[2] > 0.5
-
-    @property
-    def battery(self) -> float:
-        """State of charge [0..1]."""
-        return 1.0 if self.low is None else float(self.low["bms_state"]["soc"]) / 100.0
 
     @property
     def motor_temperature(self) -> float:

@@ -68,6 +68,12 @@ class Faults:
     """On what LowState's accelerometer tells: 1 / 9.81 is g, -1 has the signs reversed."""
     l1_accel: float = 0.0
     """Added to the accelerations of the L1 [m/s^2]."""
+    every: int = 1
+    """One LowState of so many comes."""
+    charge: int = 87
+    """[%] of the battery, as told."""
+    attitude: float = 1.0
+    """Length of LowState's quaternion."""
     lost: int = 0
     """Messages that a motor has lost."""
     wxyz: bool = True
@@ -366,7 +372,7 @@ class RobotSide:
             if not f.low_frozen:
                 self._tick = now // 1_000_000 + round(1e3 * f.tick_step)
                 self._write_low()
-            if not f.low_silent:
+            if not f.low_silent and now // LOW_STATE_PERIOD % f.every == 0:
                 self._put(LOW_STATE, self._low_bytes())
         if now >= self._sport_due:
             self._sport_due = max(self._sport_due + NS // 50, now)
@@ -421,8 +427,9 @@ class RobotSide:
         imu = low["imu_state"]
         imu["quaternion"], imu["gyroscope"], imu["accelerometer"] = self._quaternion(), body.gyro, body.accel
         imu["accelerometer"] *= self.faults.accel_scale
+        imu["quaternion"] *= self.faults.attitude
         motors["lost"][5], motors["reserve"][5, 0] = self.faults.lost, 4 * (self.faults.lost > 0)
-        low["bms_state"]["soc"] = 87
+        low["bms_state"]["soc"] = self.faults.charge
         low["foot_force"] = 60
         # head (2 bytes), keys (2), then floats: lx, rx, ry, L2, ly
         low["wireless_remote"][4:24] = np.array(self.faults.remote, "<f4").view(np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def _frozen(kind: type[Sample]) -> Callable[[], Change]:
     return start
 
 
-def _dead(part: str) -> Callable[[], Change]:
+def _dead(part: Literal["gyro", "accel"]) -> Callable[[], Change]:
     """One part of the IMU tells what it told last, while the other one lives."""
 
     def start() -> Change:
@@ -89,7 +90,8 @@ def _dead(part: str) -> Callable[[], Change]:
             for sample in samples:
                 if isinstance(sample, ImuSample):
                     held[:] = held or [getattr(sample, part)]
-                    sample = replace(sample, **{part: held[0]})
+                    gyro = part == "gyro"
+                    sample = replace(sample, gyro=held[0]) if gyro else replace(sample, accel=held[0])
                 out.append(sample)
             return out
 

@@ -10,6 +10,8 @@ from functools import partial
 from hal.safety.gate import SafetyGate
 from hal.safety.monitors import (
     ACCELERATION,
+    ATTITUDE,
+    BATTERY,
     CLOCK_DRIFT,
     CLOCK_STEP,
     GRAVITY_SIDE,
@@ -17,6 +19,7 @@ from hal.safety.monitors import (
     JOINT_ANGLE,
     JOINT_SPEED,
     JOINT_TORQUE,
+    LOW_RATE,
     MOTOR_LOST,
     POINT_TIMES,
     STAMP_AHEAD,
@@ -197,6 +200,9 @@ FAULTS = (
     Fault("late sweeps", (SWEEP_LATE,), (0.5, 0.8), partial(_against_peer, _late_sweeps, 3.0), says=("sweeps of the main LiDAR arrive",)),
     Fault("L1 accelerations", (ACCELERATION,), (1e28, 1e3), partial(_against_peer, partial(_set, "l1_accel"), 3.0), says=("IMU of the L1: an acceleration",)),
     Fault("lost motor messages", (MOTOR_LOST,), (9999, 2000), partial(_against_peer, partial(_set, "lost"), 2.0), says=("motor FL_calf has lost",)),
+    Fault("LowState comes seldom", (LOW_RATE,), (10, 50), partial(_against_peer, partial(_set, "every"), 4.0), says=("LowState comes",)),
+    Fault("battery tells what cannot be", (BATTERY,), (255, 101), partial(_against_peer, partial(_set, "charge"), 2.0), says=("the battery tells",)),
+    Fault("attitude is none", (ATTITUDE,), (0.0, 10.0), partial(_against_peer, partial(_set, "attitude"), 2.0), says=("the robot's own attitude",)),
     Fault("IMU of the robot in g or reversed", (GRAVITY_SIZE, GRAVITY_SIDE), (1 / 9.81, -1.0), partial(_against_peer, partial(_set, "accel_scale"), 3.0), rest=1.0, says=("IMU",)),
     Fault("clock of the sweeps set", (SWEEP_CLOCK,), (-0.3, 0.25), partial(_in_lockstep, _lidar_clock, 2.5), error=0.05, says=("the clock of the main LiDAR is",)),
     Fault("IMU in g or reversed", (GRAVITY_SIZE, GRAVITY_SIDE), (1 / 9.81, -1.0), partial(_in_lockstep, _imu_scale, 2.5), rest=1.5, error=0.05, says=("IMU", "wrong")),

@@ -481,7 +481,7 @@ SCANS_SCALE = Monitor(
     "odometry",
     "over {way:.1f} m of the wheels the scans lead {off:.2f} m from where each wheel does: the LiDAR's distances are wrong, or all wheels slip",
     "look whether the wheels spin; if not, look at the unit in which the LiDAR's driver tells distances",
-    high=0.2,  # tyres and slip: 0.80 to 1.15 of the way of the wheels was seen
+    high=0.3,  # where all wheels slip on steps 0.23 was seen; another unit is off by a half or more
     unit="m over a metre of the wheels",
     against="wheels",
     test="mapping/odometry/test_inputs_that_lie.py",

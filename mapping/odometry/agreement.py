@@ -21,8 +21,10 @@ WAY = 1.0
 """[m] that wheels roll, over which the distances of the scans are judged."""
 AGREED = 0.9
 """Share of it over which they must agree again."""
-LEVEL = math.cos(math.radians(12.0))
+LEVEL = math.cos(math.radians(5.0))
 """Least cosine of the tilt there: on stairs all wheels roll up each riser, which is no way ahead."""
+HELD = 0.25
+"""Share of the way of the wheels below which something holds the robot, and all of them spin: that tells no unit."""
 
 
 def way_ahead(before: Array, after: Array) -> float:
@@ -90,10 +92,11 @@ class Scale:
         if not np.isfinite(rolled).all():
             self.forget()
             return
-        if after[2, 2] < LEVEL:
+        way = float(rolled.mean())
+        if after[2, 2] < LEVEL or way_ahead(before, after) * np.sign(way) < HELD * abs(way):
             return
-        step = apart(before, after, rolled) * np.sign(rolled.mean())  # there and back does not cancel
-        self._steps.append((float(np.abs(rolled).mean()), step))
+        step = apart(before, after, rolled) * np.sign(way)  # there and back does not cancel
+        self._steps.append((abs(way), step))
         way = math.fsum(way for way, _ in self._steps)
         while way - self._steps[0][0] > WAY:
             way -= self._steps.popleft()[0]

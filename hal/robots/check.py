@@ -154,5 +154,6 @@ def _driven(robot: Robot, sim: Simulation, name: str, policy: str) -> Finding:
             words = f"{name}: told {speed} m/s it falls over after {tick * sim.timestep:.1f} s on flat ground"
             return Finding("wrong", words)
     drove = float(np.linalg.norm((sim.position - begin)[:2])) / 2.0
-    words = f"{name}: told {speed} m/s it drives {drove:.2f} m/s on flat ground and tilts by {math.degrees(tilt):.0f} deg"
+    leant = math.degrees(tilt)
+    words = f"{name}: told {speed} m/s it drives {drove:.2f} m/s on flat ground and tilts by {leant:.0f} deg"
     return Finding("ok" if 0.7 * speed < drove < 1.3 * speed else "wrong", words)

@@ -84,7 +84,8 @@ def read_tif(
             tags = {tag.code: tag.value for tag in page.tags.values()}
     except Exception as error:
         raise SceneError(
-            f"{path.name}: not a readable TIFF ({error}); `gdal_translate -co COMPRESS=DEFLATE {path.name} NEW.tif` repacks one"
+            f"{path.name}: not a readable TIFF ({error}); "
+            f"`gdal_translate -co COMPRESS=DEFLATE {path.name} NEW.tif` repacks one"
         ) from error
     if height.ndim != 2:
         raise SceneError(

@@ -5,8 +5,8 @@ Gauss-Newton on the sparse normal equations (scipy, SuperLU). Loops count by Cau
 that contradicts all others loses its say, and `PoseGraph.solve` tells how much each kept. The same factors give the
 covariance of any two nodes, which says where a loop may be.
 
-Odometry errs twice: a little at every step (each edge's sigma), and the same way all along a run (`steady`: it bends, it
-climbs). The second grows with the way, not with its root; loops tell how large it was.
+Odometry errs twice: a little at every step (each edge's sigma), and the same way all along a run (`steady`: it bends,
+it climbs). The second grows with the way, not with its root; loops tell how large it was.
 """
 
 from __future__ import annotations

@@ -89,9 +89,10 @@ WORDS = {
 class GuardStage:
     """Map window and sweeps in, the speeds that are safe here out.
 
-    In: the window of the elevation map, the newest sweep, poses, joints, tf_static, the map's status. Out: `/guard/limits`, the
-    largest speed forward, backward and in each turn, 20 times a second. It decides how far the body may move before it
-    meets a face, a drop or something that stands there. It knows no goal and no plan, and it never moves the robot.
+    In: the window of the elevation map, the newest sweep, poses, joints, tf_static, the map's status. Out:
+    `/guard/limits`, the largest speed forward, backward and in each turn, 20 times a second. It decides how far the
+    body may move before it meets a face, a drop or something that stands there. It knows no goal and no plan, and it
+    never moves the robot.
     """
 
     outputs = (t.MOTION_LIMITS,)

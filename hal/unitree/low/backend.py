@@ -195,7 +195,8 @@ class LowLevelBackend:
     # -- what operators ask for ------------------------------------------------------------------------------------
 
     def diagnostics(self) -> dict[str, float]:
-        """Those of the telemetry; commands that came late, the time between two of them that 99.9 % keep, and the longest [s]."""
+        """Those of the telemetry; commands that came late, the time between two of them that 99.9 % keep, and the
+        longest [s]."""
         if self._telemetry is None:
             return {}
         report = self._motors.report() if self._motors is not None else None

@@ -91,9 +91,9 @@ class Layout:
     ) -> None:  # fmt: skip
         """Write `out` (..., frame_size).
 
-        gyro (..., 3) [rad/s] and world z `up` (..., 3) in base_link; `command` (..., 3): vx, vy [m/s], wz [rad/s]; q, dq (..., 16)
-        [rad, rad/s]; `action` (..., n): the output of the step before; `above` (..., m): base_link above the ground at
-        `places` [m], NaN where it is not known.
+        gyro (..., 3) [rad/s] and world z `up` (..., 3) in base_link; `command` (..., 3): vx, vy [m/s], wz [rad/s];
+        q, dq (..., 16) [rad, rad/s]; `action` (..., n): the output of the step before; `above` (..., m):
+        base_link above the ground at `places` [m], NaN where it is not known.
         """
         for name, part, scale, offset in self._terms:
             if name == "gyro":

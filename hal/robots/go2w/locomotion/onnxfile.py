@@ -121,7 +121,8 @@ class OnnxNetwork:
         acted = [name for name in made if name not in self._carried.values()]
         if len(seen) != 1 or not acted:
             raise PolicyError(
-                f"{file}: inputs {', '.join(given)}: there is one for the observation, and NAME_in with NAME_out for each state"
+                f"{file}: inputs {', '.join(given)}: there is one for the observation, and NAME_in with NAME_out "
+                "for each state"
             )
         self._seen, self._shape, self._acted = seen[0], given[seen[0]], acted[0]
         self._fetched = [self._acted, *self._carried.values()]
@@ -206,7 +207,8 @@ def _refusals(model: Any) -> Iterator[str]:
         if node.op_type in SHAPED and set(node.input[SHAPED[node.op_type] :][:1]) - fixed:
             yield f"the size of what {node.op_type} makes is not known before it runs: export it with fixed shapes"
         if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
-            yield f"the operator {node.domain[:40]}{'.' if node.domain else ''}{node.op_type[:40]} is not one of those a policy needs"
+            name = f"{node.domain[:40]}{'.' if node.domain else ''}{node.op_type[:40]}"
+            yield f"the operator {name} is not one of those a policy needs"
         for attribute in node.attribute:
             if attribute.type in (onnx.AttributeProto.GRAPH, onnx.AttributeProto.GRAPHS):
                 yield f"{node.op_type}: has a graph of its own"

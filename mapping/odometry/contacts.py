@@ -24,9 +24,8 @@ def wheel_contacts(limbs: Limbs, joints: JointSample) -> NDArray[np.float64]:
     The wheel's lowest point lies along the normal of the plane through the four wheel centres: on a ramp that is the
     ramp's normal, whatever the trunk does.
     """
-    q = np.ascontiguousarray(joints.position, np.float64)
-    dq = np.ascontiguousarray(joints.velocity, np.float64)
-    tau = np.ascontiguousarray(joints.effort, np.float64)
+    # Copies: for arrays that cannot be written to every kernel would be compiled once more.
+    q, dq, tau = (np.array(each, np.float64) for each in (joints.position, joints.velocity, joints.effort))
     contact = np.empty(4, np.bool_)
     leg_velocity(limbs, q, dq, tau, np.zeros(3), np.ones(3), np.empty(3), np.empty(3), contact)
     centre = wheel_centres(limbs, q)

@@ -124,7 +124,8 @@ def leg_velocity(
     for leg in range(4):
         contact[leg] = not math.isnan(heights[leg])
         if contact[leg]:
-            each[count] = each[leg]
+            for k in range(3):  # a row at once compiles for 2 s
+                each[count, k] = each[leg, k]
             height += heights[leg]
             count += 1
     if count == 0:

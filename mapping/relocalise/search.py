@@ -262,7 +262,8 @@ def branch_and_bound(
                     at = size
                     size += 1
                     while at > first and stack[at - 1, 3] > score:
-                        stack[at] = stack[at - 1]
+                        for part in range(4):  # a row at once compiles for 2 s
+                            stack[at, part] = stack[at - 1, part]
                         at -= 1
                     stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = height - 1, r, c, score
     return found

@@ -125,7 +125,8 @@ def _in_move(crossed, found, step, n):
     kept = 0
     for k in range(found):
         if 0 <= crossed[k, 0] < n:
-            crossed[kept] = crossed[k]
+            for part in range(crossed.shape[1]):  # a row at once compiles for 2 s
+                crossed[kept, part] = crossed[k, part]
             crossed[kept, 0] *= step
             kept += 1
     return kept
@@ -223,8 +224,9 @@ def slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
             continue
         i, direction = angle_at(math.atan(steep)), math.atan2(abs(roll), pitch)
         there, back = prices.slope[i, angle_at(direction)], prices.slope[i, angle_at(math.pi - direction)]
-        out[0] += there * d / n
-        out[1] += back * d / n
+        for way in range(2):
+            out[0, way] += there * d / n
+            out[1, way] += back * d / n
         if steep > steepest:
             steepest, where, ahead_is = steep, along, direction
     return where, steepest, ahead_is

@@ -329,5 +329,5 @@ def connect(
                     continue
                 risk[j, i, o] = move(
                     height, flags, faces, xs, ys, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
-                    min_coverage, radius, prices, sums, False, price[j, i, o],
+                    min_coverage, radius, prices, sums, np.bool_(False), price[j, i, o],  # False: a variant more
                 )  # fmt: skip

@@ -175,7 +175,9 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
         if holes[k]:
             _mark_tips(z, floor, height, flags[k], gap, limits[k])
     if levels == 1:
-        flags[1] = flags[0]
+        for r in range(rows):  # a level at once compiles for 3 s
+            for c in range(cols):
+                flags[1, r, c] = flags[0, r, c]
     return flags
 
 

@@ -273,7 +273,8 @@ def _moves(
         )  # fmt: skip
         if out[k, 0] < 0.0:
             break
-        out[k, 1:] = price.ravel()
+        for way in range(2):
+            out[k, 1 + 2 * way], out[k, 2 + 2 * way] = price[way, 0], price[way, 1]
     return out
 
 

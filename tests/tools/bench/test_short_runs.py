@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from tools.bench import stop
 from tools.bench.outside import bench as outside
 from tools.bench.perception import bench as perception
 from tools.bench.perception import open_ground
+from tools.bench.planning import bench as planning
+from tools.bench.planning import crossings, query, watch
 
 
 def test_bags_and_files_of_others_are_read_or_refused_with_words_that_help() -> None:
@@ -32,3 +37,29 @@ def test_open_ground_and_a_crowd_are_driven_within_their_limits(monkeypatch: pyt
             for what in ("standing_m", "standing_deg", "stood", "driving_m", "drove")
         ),
     ]
+
+
+def test_a_stop_is_heard_on_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # which the bench sets, too
+    report = stop.run(["--rounds", "1"])
+    assert [row.key for row in report.rows] == ["stop.first_on_bus.median", "stop.first_on_bus.worst"]
+
+
+def test_graphs_and_queries_of_a_small_map_have_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning, "LARGE", 8.0)
+    monkeypatch.setattr(planning, "cpu_seconds", lambda _work, _repeats: 1.0)
+    monkeypatch.setattr(query, "PAIRS", 4)
+    monkeypatch.setattr(query, "UPDATES", 4)
+    for part in (watch, crossings):
+        monkeypatch.setattr(part, "rows", lambda report: None)
+    report = planning.run([])
+    keys = {row.key for row in report.rows}
+    assert keys >= {"build_ms.native_8m", "update_ms", "large.memory_mb", "query_ms.p50", "replan_ms"}
+    assert keys >= {f"large.stack_{what}_s" for what in ("prepared", "cold", "warm", "moving")}
+
+
+def test_no_path_leads_over_what_stands_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "WORLDS", 1)
+    monkeypatch.setattr(watch, "PATHS", 2)
+    report = planning.run(["--only", "watch"])
+    assert not [row for row in report.rows if not row.ok]

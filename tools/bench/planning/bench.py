@@ -8,8 +8,7 @@ its two parts have rows of their own, and `large.query_cold_s` is a query that f
 
 Values are the least of several repeats of this thread's CPU time, after the kernels were compiled. Baselines, from the
 same run: the native builds' is the same graph grown in plain numpy (`_planning_oracle`, whole problem); the update's is
-a full
-rebuild of the same map; the large build's is that numpy build of 400 m^2, scaled by area to 10,000 m^2.
+a full rebuild of the same map; the large build's is that numpy build of 400 m^2, scaled by area to 10,000 m^2.
 """
 
 from __future__ import annotations
@@ -35,6 +34,8 @@ from tools.bench.planning.worlds import dense_map, mountain_map, rough_terrain
 from tools.bench.report import Report
 
 ROOT = Path(__file__).resolve().parents[3]
+LARGE = 100.0
+"""Side of the large map [m]."""
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
@@ -56,7 +57,7 @@ def _update_ms(report: Report) -> None:
     side = round(np.sqrt(0.02) * grid.shape[0])
     height = grid.height.copy()
     times = []
-    for _ in range(60):
+    for _ in range(query.UPDATES):
         r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
         height = height.copy()
         height[r : r + side, c : c + side] = grid.height[r : r + side, c : c + side] + rng.uniform(-0.3, 0.3)
@@ -94,7 +95,7 @@ print((kilobytes("VmHWM") - before) * 1024 / 1e6)
 
 
 def _large(report: Report, baseline: float) -> RiskTable:
-    grid = rough_terrain(100.0, 0.05, 3)
+    grid = rough_terrain(LARGE, 0.05, 3)
     small = rough_terrain(5.0, 0.05, 3)
     RiskTable(TraversalGraph.build(small, (1.0, 1.0)), small, BodyModel()).evaluate_edges()
     start = time.thread_time()

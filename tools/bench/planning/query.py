@@ -36,7 +36,7 @@ from tools.bench.planning.worlds import dense_map
 from tools.bench.report import Report
 
 BODY = BodyModel()
-PAIRS = 200
+PAIRS, UPDATES = 200, 60
 
 
 def partly_unseen(grid: ElevationGrid) -> ElevationGrid:
@@ -75,7 +75,7 @@ def _pairs(nodes: int) -> list[PlanRequest]:
 
 
 def _replan(report: Report) -> None:
-    """The same pairs of places after each of 60 map updates, with and without the table from before."""
+    """The same pairs of places after each map update, with and without the table from before."""
     full, start, _, seed = dense_map()
     grid = partly_unseen(full)
     graph = TraversalGraph.build(grid, start, GraphParams(), seed)
@@ -84,7 +84,7 @@ def _replan(report: Report) -> None:
     table = RiskTable(graph, grid, BODY)
     fresh, carried = [], []
     level, raised = grid.height, (0, 0, 0, 0)
-    for _ in range(60):
+    for _ in range(UPDATES):
         r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
         height = (
             level.copy()

@@ -52,8 +52,8 @@ def close(
     """Build the map of `run` so far into `out` (.npz) with its loops closed, and have the stack on `bus` go on with it
     if that moves any keyframe by `least` [m] or more.
 
-    The robot stands meanwhile and has no goal. pause: waits so many seconds for the log. Raises CloseError, ConfigError,
-    LogError, MapError, which say what to do.
+    The robot stands meanwhile and has no goal. pause: waits so many seconds for the log. Raises CloseError,
+    ConfigError, LogError, MapError, which say what to do.
     """
     still = _standing(bus)
     if still.prior and not (out.is_file() and still.prior == fingerprint(str(out))):

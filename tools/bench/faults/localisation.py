@@ -214,7 +214,8 @@ FAULTS = (
         says=("repeats its sweep",),
     ),
     Fault(
-        "frozen_imu", (IMU_REPEATS, IMU_PART_REPEATS), (0.3, 0.5), _while_driving(_frozen(ImuSample)), rest=0.5, error=0.25,
+        "frozen_imu", (IMU_REPEATS, IMU_PART_REPEATS), (0.3, 0.5), _while_driving(_frozen(ImuSample)), rest=0.5,
+        error=0.25,
         says=("IMU repeats",),
     ),
     Fault(

@@ -279,7 +279,10 @@ def test_a_network_that_must_not_be_run_is_refused(tmp_path: Path, how: str, wor
         ({"observation": [{"term": "gyro"}, {"term": "gyro"}]}, "each term once"),
         ({"observation": [{"term": "gyro", "scale": [1.0, 2.0]}]}, "gyro.scale must be one number or 3"),
         ({"observation": [{"term": "gyro", "clip": [1.0, -1.0]}]}, "above the upper one"),
-        ({"observation": [{"term": "heights", "x": [0, 1, 2000], "y": [0, 1, 1000], "unknown": 0.5}]}, "2000 x 1000 places"),
+        (
+            {"observation": [{"term": "heights", "x": [0, 1, 2000], "y": [0, 1, 1000], "unknown": 0.5}]},
+            "2000 x 1000 places",
+        ),
         ({"history": {"ages": [0, 0]}}, "each once"),
         ({"history": {"order": "frame"}, "observation": [{"term": "gyro", "ages": [1]}]}, "need `order: term`"),
         ({"joints": list(MOTORS[3:])}, "FR_hip, FR_thigh, FR_calf would hang free"),

@@ -2,8 +2,7 @@
 face, slope, turn, gap and field of posts on the way.
 
 A price is `fall_cost` metres for each hazard, -ln(1 - p) (`planning.graph.prices`), so what a route costs beyond eq. 5
-tells how likely it fails. A failure is what ends a drive (`planning.graph.prices.ENDING`): the tracker leads a robot
-back that slid 0.1 m off its line. Ground that nobody saw has no hazard.
+tells how likely it fails. Ground that nobody saw has no hazard.
 """
 
 from __future__ import annotations

@@ -162,7 +162,9 @@ class GuardStage:
             swept = shells(tracks, self._body, self._body)
             reach_of(swept, step, around, here, stand, self._robot, seen=False, wall=wall)
             leaves_on(whole, step, replace(around, source=np.full_like(free, PLANTS)), here, self._body)
-        near_body(around, here, np.eye(3), self._limbs, np.zeros(16), self._body)
+        angles = np.zeros(16)
+        angles.setflags(write=False)  # as a message has them
+        near_body(around, here, np.eye(3), self._limbs, angles, self._body)
         self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat, flat)
 
     def close(self) -> None:

@@ -285,7 +285,7 @@ def test_a_robot_whose_front_wheels_are_down_a_high_kerb_does_not_begin_backward
     graph = TraversalGraph.build(grid, (2.45, 2.0), CLIMBER, 0)
     off = plan(graph, grid, PlanRequest((2.45, 2.0), (1.2, 2.0), 0.0, rules=RULES))
     assert not off.transitions[0].backward
-    low = ElevationGrid(0.4 * height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
+    low = ElevationGrid(0.25 * height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
     back = plan(
         TraversalGraph.build(low, (2.45, 2.0), CLIMBER, 0),
         low,

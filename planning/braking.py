@@ -1,5 +1,5 @@
-"""Bends of a path: where it turns round, and the speed limits from bends and from the room to brake. Every speed profile
-of a path uses these two."""
+"""Bends of a path: where it turns round, and the speed limits from bends and from the room to brake. Every speed
+profile of a path uses these two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What squares of cells say about a map: the largest value in each, closing, and which cells a square of unknown ones covers."""
+"""What squares of cells say about a map: the largest value in each, closing, and which cells a square of unknown ones
+covers."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ def _raise(line, other):
 
 @njit(cache=True)
 def largest(values, m, back):
-    """Largest of the m x m cells that begin at each cell, or end there (`back`); those outside do not count. NaN does not count, and stays."""
+    """Largest of the m x m cells that begin at each cell, or end there (`back`); those outside do not count. NaN does
+    not count, and stays."""
     rows, cols = values.shape
     out = values.copy()
     line = np.empty(cols, values.dtype)

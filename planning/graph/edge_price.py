@@ -113,7 +113,8 @@ def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, g
 
 @njit(cache=True)
 def _in_move(crossed, found, step, n):
-    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move; how many."""
+    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move; how
+    many."""
     for k in range(found):
         tread, beside = 0.0, 0  # a face is told to a cell or two: the mean of the treads on both sides
         for other in (k - 1, k + 1):
@@ -134,7 +135,8 @@ def _in_move(crossed, found, step, n):
 
 @njit(cache=True)
 def crossed_by(height, flags, faces, x0, y0, res, prices, wheel, xa, ya, ux, uy, d, crossed, gaps):
-    """Where a wheel is when the body is at xa, ya [m], and what it crosses in a move along ux, uy: see `wheel_track`."""
+    """Where a wheel is when the body is at xa, ya [m], and what it crosses in a move along ux, uy: see
+    `wheel_track`."""
     ahead = prices.axle if wheel < 2 else -prices.axle
     aside = prices.tread if wheel % 2 == 0 else -prices.tread
     xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
@@ -147,8 +149,8 @@ def crossed_by(height, flags, faces, x0, y0, res, prices, wheel, xa, ya, ux, uy,
 @njit(cache=True)
 def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
     """Write the prices [m] of the straight move from a to b into `out` (2, 2): there and back, driven forward and
-    backward. False where it crosses stairs that are no way. `faces` [mm] as of `planning.graph.faces`; coordinates in m,
-    `map`."""
+    backward. False where it crosses stairs that are no way. `faces` [mm] as of `planning.graph.faces`; coordinates in
+    m, `map`."""
     d = math.hypot(xb - xa, yb - ya)
     ux, uy = (xb - xa) / d, (yb - ya) / d
     crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))

@@ -1,4 +1,5 @@
-"""Stepfields: ground whose faces point in two directions all around. A controller that climbs one face may get stuck between posts of that height."""
+"""Stepfields: ground whose faces point in two directions all around. A controller that climbs one face may get stuck
+between posts of that height."""
 
 from __future__ import annotations
 
@@ -15,18 +16,20 @@ from planning.graph.params import Window
 LOCAL = 0.30
 """Side of the square in which faces are compared [m]: two to three posts."""
 SIDE, SHARE = 0.80, 0.65
-"""So much of a square of this side [m], larger than the wheelbase, has faces in two directions: a field. The ends of bars and rails, crossing
-ramps and rough ground have less."""
+"""So much of a square of this side [m], larger than the wheelbase, has faces in two directions: a field. The ends of
+bars and rails, crossing ramps and rough ground have less."""
 FACES = 0.26
-"""Smaller eigenvalue of the faces' second moment, averaged over the local square, where the highest posts are 1 m [m^2]. It grows with
-their height squared."""
+"""Smaller eigenvalue of the faces' second moment, averaged over the local square, where the highest posts are 1 m
+[m^2]. It grows with their height squared."""
 EVEN, SPREAD = 0.5, 1.2
-"""From outside a LiDAR sees the tops of the posts alone, which lie as if they were half as high or less. So a field whose rim was seen goes on over ground
-within this distance [m] on which posts would be above this share of the least height, as far as that ground was seen."""
+"""From outside a LiDAR sees the tops of the posts alone, which lie as if they were half as high or less. So a field
+whose rim was seen goes on over ground within this distance [m] on which posts would be above this share of the least
+height, as far as that ground was seen."""
 ENTERED = 0.5
 """So much of a way [m] in a field that was not reckoned with is reason to look for another."""
 CORE = 1
-"""Even ground is a square of this many cells on each side of one: a lane between posts and a wall is not much wider on the map."""
+"""Even ground is a square of this many cells on each side of one: a lane between posts and a wall is not much wider on
+the map."""
 WALL = 0.25
 """Higher ones [m] are no posts, and nothing is compared beside them."""
 
@@ -44,11 +47,12 @@ def mark_fields(
     window: Window,
     max_posts: float,
 ) -> None:
-    """Set or clear `POSTS` and `FIELD` in the window of `flags` (rows, cols): fields with posts higher than `max_posts` [m], and than a third of it.
+    """Set or clear `POSTS` and `FIELD` in the window of `flags` (rows, cols): fields with posts higher than `max_posts`
+    [m], and than a third of it.
 
-    faces: (rows, cols, 2) [mm], see `planning.graph.faces`, known around the window as far as `reach`. A field that is out must be seen well;
-    for a price that part of it tells which is `trusted` (rows, cols), and the field goes on as far as `SPREAD`. Sums are of whole numbers, so that a
-    part gives exactly what the whole map gives.
+    faces: (rows, cols, 2) [mm], see `planning.graph.faces`, known around the window as far as `reach`. A field that is
+    out must be seen well; for a price that part of it tells which is `trusted` (rows, cols), and the field goes on as
+    far as `SPREAD`. Sums are of whole numbers, so that a part gives exactly what the whole map gives.
     """
     r0, c0, r1, c1 = window
     pad = reach(res)
@@ -73,8 +77,9 @@ def mark_fields(
 
 @njit(cache=True)
 def compared(faces, local, wide):
-    """Sums over the square of 2 `local` + 1 cells around each: x x, y y and x y of its faces [mm^2], and the number of its walls; then whether a
-    wall is in the square of 2 `wide` + 1 cells. (5, rows, cols) int32, the same for every height of posts."""
+    """Sums over the square of 2 `local` + 1 cells around each: x x, y y and x y of its faces [mm^2], and the number of
+    its walls; then whether a wall is in the square of 2 `wide` + 1 cells. (5, rows, cols) int32, the same for every
+    height of posts."""
     rows, cols, _ = faces.shape
     out = np.zeros((5, rows, cols), np.int32)
     for r in range(rows):
@@ -100,8 +105,9 @@ def compared(faces, local, wide):
 
 @njit(cache=True)
 def fields_in(found, trusted, parts, local, wide, least):
-    """(rows, cols) where a square of 2 `wide` + 1 cells is a field. `found`: see `compared`. `least`: the smaller eigenvalue of a cell [mm^2],
-    averaged over a square of 2 `local` + 1 cells; `parts`: over that part of it which is `trusted`. Of what lies outside nothing is known."""
+    """(rows, cols) where a square of 2 `wide` + 1 cells is a field. `found`: see `compared`. `least`: the smaller
+    eigenvalue of a cell [mm^2], averaged over a square of 2 `local` + 1 cells; `parts`: over that part of it which is
+    `trusted`. Of what lies outside nothing is known."""
     rows, cols = trusted.shape
     out = np.zeros((rows, cols), np.bool_)
     known = np.ones((rows, cols), np.int32)
@@ -140,8 +146,8 @@ def fields_in(found, trusted, parts, local, wide, least):
 
 @njit(cache=True)
 def _even(ground, both, local):
-    """(rows, cols) above 0 where a square of even ground begins within half a local square: so far from posts a cell has faces in two directions
-    that are theirs."""
+    """(rows, cols) above 0 where a square of even ground begins within half a local square: so far from posts a cell
+    has faces in two directions that are theirs."""
     rows, cols = ground.shape
     uneven = np.empty((rows, cols), np.int32)
     for r in range(rows):

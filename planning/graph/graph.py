@@ -112,7 +112,8 @@ class TraversalGraph:
         elif not graph._refresh(grid, ()):
             raise NoRoute(
                 NoRouteReason.START_NOT_ON_GRAPH,
-                f"no drivable ground within one move of {start}: drive the robot by hand, slowly, onto open ground that it sees",
+                f"no drivable ground within one move of {start}: drive the robot by hand, slowly, onto open ground "
+                "that it sees",
             )
         return graph
 

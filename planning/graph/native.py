@@ -287,8 +287,9 @@ def build_native(
     key = np.random.RandomState(seed).get_state(legacy=True)[1].astype(np.uint32)  # type: ignore[index]
     k = math.floor(float(F32(params.robot_size)) / res + 0.5) + 1
     status, nodes, alive, edges, risk = grow(
-        height, xs, ys, origin[0], origin[1], res, *window_minmax(height, k), k, F32(start[0]), F32(start[1]), F32(params.expand_dist),
-        F32(params.robot_size), params.sample_num, F32(params.height_threshold), params.collision_threshold, key,
+        height, xs, ys, origin[0], origin[1], res, *window_minmax(height, k), k, F32(start[0]), F32(start[1]),
+        F32(params.expand_dist), F32(params.robot_size), params.sample_num, F32(params.height_threshold),
+        params.collision_threshold, key,
     )  # fmt: skip
     if status:
         return None

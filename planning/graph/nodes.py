@@ -1,7 +1,8 @@
 """Where the corrected graph puts its nodes: one per cell of a seeded lattice that is fixed to the ground.
 
-Candidates in a lattice cell come from a hash of (seed, cell, number), so a node is a function of the map around it and of the seed
-(which changes where others are drawn, `Cells.drawn`): rebuilding a part of the map gives exactly the nodes that a full rebuild gives, with the same ids.
+Candidates in a lattice cell come from a hash of (seed, cell, number), so a node is a function of the map around it and
+of the seed (which changes where others are drawn, `Cells.drawn`): rebuilding a part of the map gives exactly the nodes
+that a full rebuild gives, with the same ids.
 """
 
 from __future__ import annotations

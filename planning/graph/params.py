@@ -94,13 +94,14 @@ class GraphParams(GraphSettings):
     keep_step: float = Field(
         default=0.0,
         ge=0.0,
-        description="corrected: ground found drivable stays so up to this much above max_step [m]; 0 = a graph that depends "
-        "on the map alone, not on how it came about",
+        description="corrected: ground found drivable stays so up to this much above max_step [m]; 0 = a graph that "
+        "depends on the map alone, not on how it came about",
     )
 
     controller: str | None = Field(
         default=None,
-        description="corrected: whose measured envelope prices faces, slopes, turns, posts and gaps; None = they cost nothing",
+        description="corrected: whose measured envelope prices faces, slopes, turns, posts and gaps; None = they cost "
+        "nothing",
     )
 
     @property

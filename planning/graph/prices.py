@@ -53,7 +53,8 @@ class Prices(NamedTuple):
     height and the angle between travel and its normal."""
     stairs: Array
     """(2, sizes, treads, angles) [m] of one wheel that crosses a riser of stairs driven forward, up or down. Infinite
-    where stairs are no way: those on which a flight ends the drive too often, up or down: what is driven down must be left."""
+    where stairs are no way: those on which a flight ends the drive too often, up or down: what is driven down must be
+    left."""
     slope: Array
     """(angles, angles) [m/m] by steepness and the angle between travel and uphill."""
     turn: Array

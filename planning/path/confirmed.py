@@ -1,4 +1,5 @@
-"""How far a path may be driven by now: forward as long as the wheels roll on ground that was seen, or where they feel edges, backward as long as the guard lets it."""
+"""How far a path may be driven by now: forward as long as the wheels roll on ground that was seen, or where they feel
+edges, backward as long as the guard lets it."""
 
 from __future__ import annotations
 
@@ -17,37 +18,41 @@ from planning.path.types import Path
 from planning.search.guarded import drives_over, known_around
 
 LEAD = (0.15, 0.30)
-"""Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
+"""Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off
+it."""
 SPACING = 0.04
 LEAST, TURN = 0.06, 1.0
-"""A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to both sides."""
+"""A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to
+both sides."""
 AHEAD, ROUND = 0.45, 0.25
 """[m] from the robot to what it cannot see, and around that."""
 BACK = 0.12
 """[m] A path backward ends where less is left to what nobody saw: the guard creeps before it and holds."""
 UNSEEN = 0.2
-"""[m/s] where a part of the ground under the leading wheels was not seen, or of that under the body is under leaves: a post in grass
-is felt by the body first."""
+"""[m/s] where a part of the ground under the leading wheels was not seen, or of that under the body is under leaves: a
+post in grass is felt by the body first."""
 CREEP = 0.35
 """[m] that a robot creeps until it asks again, half of its length."""
 TURN_SPACING = 0.05
 """[rad] between places that are looked at."""
 DRIFT = 0.07
-"""[m] ahead and aside by which a wheel may come farther out while the robot turns on the spot: it drifted by 0.08 m beside a pit that nobody saw, and fell."""
+"""[m] ahead and aside by which a wheel may come farther out while the robot turns on the spot: it drifted by 0.08 m
+beside a pit that nobody saw, and fell."""
 BENDS = 0.3
 """[rad] A robot whose heading is off by less begins with a bend: the tracker turns from 0.35 on."""
 STAND = (0.25, 0.05)
-"""[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
-not."""
+"""[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under
+its nose does not."""
 
 
 def confirmed(
     path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float, coverage: float | None = None
 ) -> Path:
-    """The part of `path` that ends before less than `coverage`, by default `GraphParams.min_coverage`, of the ground under the leading wheels of a body
-    `width` [m] wide was seen; all of it where it may be driven. Virtual ground is planned over, not driven on, and the part that is left of it under
-    the wheels is driven slowly.
-    Backward it ends before ground that the map does not know: no LiDAR looks there, and the guard holds the robot (`hal.safety.planned`).
+    """The part of `path` that ends before less than `coverage`, by default `GraphParams.min_coverage`, of the ground
+    under the leading wheels of a body `width` [m] wide was seen; all of it where it may be driven. Virtual ground is
+    planned over, not driven on, and the part that is left of it under the wheels is driven slowly. Backward it ends
+    before ground that the map does not know: no LiDAR looks there, and the guard holds the robot
+    (`hal.safety.planned`).
     """
     if graph.cells is None or len(path.points) < 2:
         return path
@@ -113,7 +118,8 @@ def _hidden(
     graph: TraversalGraph,
     width: float,
 ) -> NDArray[np.bool_]:
-    """Whether the ground at places [m] is virtual and not under a robot that looks at `yaw` [rad] at the begin of the path."""
+    """Whether the ground at places [m] is virtual and not under a robot that looks at `yaw` [rad] at the begin of the
+    path."""
     cells = graph.cells
     assert cells is not None
     virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
@@ -139,8 +145,9 @@ def backs_up(path: Path) -> bool:
 def drivable(
     path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float, *, crept: bool = False
 ) -> Path | None:
-    """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin. One that `crept` may stand at an edge that
-    nobody saw: no part of the ground under its wheels may be unseen, nor where it turns them to."""
+    """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin. One that
+    `crept` may stand at an edge that nobody saw: no part of the ground under its wheels may be unseen, nor where it
+    turns them to."""
     if crept and _turns_onto_hidden(path, graph, width):
         return None
     part = confirmed(path, graph, grid, width, 1.0 if crept else None)
@@ -150,8 +157,9 @@ def drivable(
 
 
 def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> Path | None:
-    """The first `CREEP` of a path that is driven forward at `creep` [m/s], whether its ground was seen or not; None where hardly any is left of
-    what so slow a robot passes, and where it would turn its wheels onto ground that nobody saw: only wheels that roll feel edges."""
+    """The first `CREEP` of a path that is driven forward at `creep` [m/s], whether its ground was seen or not; None
+    where hardly any is left of what so slow a robot passes, and where it would turn its wheels onto ground that nobody
+    saw: only wheels that roll feel edges."""
     if graph.cells is None or len(path.points) < 2:
         return None
     end = (_sign(path) < 0.0) | (path.least > creep) | (path.s > CREEP)

@@ -1,4 +1,5 @@
-"""From a route over the graph to a path the robot can follow: smooth, re-checked on the map, with a speed for each point."""
+"""From a route over the graph to a path the robot can follow: smooth, re-checked on the map, with a speed for each
+point."""
 
 from __future__ import annotations
 
@@ -40,9 +41,9 @@ def make_path(
 ) -> Path:
     """Smooth `plan` into a path from the requested start to the requested goal.
 
-    `terrain` is that of the whole grid where it has been made already (`RiskTable.terrain`); without it, that around the route is made.
-    Each corner is rounded as far as the corridor allows, less where the body's risk
-    on the curve would be above the route's, not at all where even that fails.
+    `terrain` is that of the whole grid where it has been made already (`RiskTable.terrain`); without it, that around
+    the route is made. Each corner is rounded as far as the corridor allows, less where the body's risk on the curve
+    would be above the route's, not at all where even that fails.
     """
     limits = limits or PathLimits()
     wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
@@ -56,7 +57,8 @@ def make_path(
         pieces, raw = [np.array([[*vertices[0], stand]])], 0
     else:
         pieces, raw = _pieces(vertices, back, terrain, body, limits)
-    # Where the direction changes the last point of one piece is the first of the next, which tells the heading from there on.
+    # Where the direction changes the last point of one piece is the first of the next, which tells the heading from
+    # there on.
     poses = np.concatenate([*(piece[:-1] for piece in pieces[:-1]), pieces[-1]])
     speed, least = _profile(poses, terrain, body, limits)
     xy, yaw = poses[:, :2], poses[:, 2]
@@ -85,7 +87,8 @@ def make_path(
 def _pieces(
     vertices: Array, back: NDArray[np.bool_], terrain: Terrain, body: BodyModel, limits: PathLimits
 ) -> tuple[list[Array], int]:
-    """Smoothed poses x, y, yaw of the body, one (n, 3) for each stretch in one direction, and the number of sharp corners."""
+    """Smoothed poses x, y, yaw of the body, one (n, 3) for each stretch in one direction, and the number of sharp
+    corners."""
     out, sharp, first = [], 0, 0
     for last in range(1, len(vertices)):
         if last < len(back) and back[last] == back[first]:
@@ -103,8 +106,8 @@ def rest_of(
     body: BodyModel,
     terrain: Terrain | None = None,
 ) -> Path:
-    """What is left of `path` for a robot at `pose` x, y [m], yaw [rad] on it: the same way, with the speeds of the map of now. `terrain` as in
-    `make_path`."""
+    """What is left of `path` for a robot at `pose` x, y [m], yaw [rad] on it: the same way, with the speeds of the map
+    of now. `terrain` as in `make_path`."""
     x, y, yaw = pose
     k, w = (int(np.argmin(np.hypot(*(p[:, :2] - (x, y)).T))) for p in (path.points, path.watched))
     ahead = path.ahead(x, y)
@@ -132,7 +135,8 @@ def rest_of(
 
 
 def _profile(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, Array]:
-    """(n,) speed and least speed along poses x, y, yaw of the body; 0 where it turns from forward to backward or back."""
+    """(n,) speed and least speed along poses x, y, yaw of the body; 0 where it turns from forward to backward or
+    back."""
     chord = np.diff(poses[:, :2], axis=0)
     back = np.cos(poses[:-1, 2] - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0
     ends = [0, *(np.flatnonzero(back[1:] != back[:-1]) + 1).tolist(), max(len(poses) - 1, 1)]
@@ -193,8 +197,8 @@ PEAK_SLACK = 0.005
 
 
 def _rise(mine: Array, other: Array, body: BodyModel) -> float:
-    """How much riskier one pose set is than another, in scaled risk, by their moments (3, 4): the worst of mean-and-tail risk and each core
-    maximum."""
+    """How much riskier one pose set is than another, in scaled risk, by their moments (3, 4): the worst of
+    mean-and-tail risk and each core maximum."""
     more = mine - other
     rise = body.weight_mean * more[0] + body.weight_tail * more[1]
     return float(max(rise[:3].sum(), rise[3], (more[2] / body.scales).max()))

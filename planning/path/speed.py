@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 
 MEASURED_SPEED = 0.5
-"""Slopes and faces within the limits of every controller are passed at this speed [m/s] (`tools.bench envelope`): they are no reason to
-be slower."""
+"""Slopes and faces within the limits of every controller are passed at this speed [m/s] (`tools.bench envelope`): they
+are no reason to be slower."""
 
 
 def speeds(
@@ -28,10 +28,12 @@ def speeds(
     body: BodyModel,
     limits: PathLimits,
 ) -> tuple[Array, Array]:
-    """(n,) [m/s] at arc length `s` (n,) [m] with heading `yaw` (n,) [rad], 0 at the end; and (n,) the least that passes there.
+    """(n,) [m/s] at arc length `s` (n,) [m] with heading `yaw` (n,) [rad], 0 at the end; and (n,) the least that passes
+    there.
 
-    `features` (m, 4) of the body (eq. 1 and 2) and the highest face under it, `faces` (m,) [m], at arc length `s_features` (m,) [m].
-    Where a face has to be climbed the speed is `PathLimits.step_speed` at least, whatever the risk: a wheel that comes slower stalls.
+    `features` (m, 4) of the body (eq. 1 and 2) and the highest face under it, `faces` (m,) [m], at arc length
+    `s_features` (m,) [m]. Where a face has to be climbed the speed is `PathLimits.step_speed` at least, whatever the
+    risk: a wheel that comes slower stalls.
     """
     ds = np.maximum(np.diff(s), 1e-9)
     bend = np.abs(wrap(np.diff(yaw))) / ds

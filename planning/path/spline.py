@@ -75,8 +75,8 @@ def curve(vertices: Array, reach: Array, step: float) -> tuple[Array, NDArray[np
 def _sampled(
     control: Array, owner: NDArray[np.int64], step: float
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """Points (n, 2) of the spline, at least four on each span and closer than a quarter of `step` [m], the vertex (n,) each belongs to, and (n,)
-    which stand on a sharp corner. All spans with as many points are worked out at once."""
+    """Points (n, 2) of the spline, at least four on each span and closer than a quarter of `step` [m], the vertex (n,)
+    each belongs to, and (n,) which stand on a sharp corner. All spans with as many points are worked out at once."""
     leg = np.hypot(*np.diff(control, axis=0).T)
     chord = leg[:-2] + leg[1:-1] + leg[2:]
     spans = np.flatnonzero(chord >= 1e-12)
@@ -100,9 +100,9 @@ def _sampled(
 def smooth_route(vertices: Array, corridor: float = 0.08, spacing: float = 0.02) -> Array:
     """A polyline (n, 2) [m] as a smooth line (m, 2) from its first to its last point.
 
-    It stays within `corridor` [m] of the polyline and has a sample every `spacing` [m] or a little less. It looks at no map: a
-    corner is rounded as far as the corridor allows (`planning.path.make_path` looks at the body's risk too). Successive
-    vertices must differ.
+    It stays within `corridor` [m] of the polyline and has a sample every `spacing` [m] or a little less. It looks at no
+    map: a corner is rounded as far as the corridor allows (`planning.path.make_path` looks at the body's risk too).
+    Successive vertices must differ.
     """
     return rounded(np.asarray(vertices, np.float64), corridor, spacing)[0]
 
@@ -115,8 +115,9 @@ def rounded(
 ) -> tuple[Array, int]:
     """Samples (m, 2) of the rounded polyline and how many of its corners stayed sharp.
 
-    Each corner is rounded less until its samples lie within the corridor and `refused` does not name it. `refused` gets all samples
-    and, per rounded corner, its vertex and which samples are its own; it returns the vertices whose rounding it refuses.
+    Each corner is rounded less until its samples lie within the corridor and `refused` does not name it. `refused` gets
+    all samples and, per rounded corner, its vertex and which samples are its own; it returns the vertices whose
+    rounding it refuses.
     """
     reach = reach_limits(vertices, corridor)
     while True:

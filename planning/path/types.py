@@ -99,7 +99,8 @@ class Path:
         )
 
     def slowed(self, where: NDArray[np.bool_], limit: float) -> Path:
-        """The path, driven at `limit` [m/s] at most at the points `where` (n,), unless the ground there is passed at more alone."""
+        """The path, driven at `limit` [m/s] at most at the points `where` (n,), unless the ground there is passed at
+        more alone."""
         if not where.any():
             return self
         speed = np.where(where, np.minimum(self.speed, np.maximum(limit, self.least)), self.speed)
@@ -124,8 +125,9 @@ class Path:
         )
 
     def ahead(self, x: float, y: float) -> tuple[Array, NDArray[np.bool_]] | None:
-        """What is left of `route` and `back` for a robot at x, y [m]; None where it is farther than the corridor off the route. A corner where it
-        turns round is passed from near on: it turned back to drive the last centimetres to it, with each new plan."""
+        """What is left of `route` and `back` for a robot at x, y [m]; None where it is farther than the corridor off
+        the route. A corner where it turns round is passed from near on: it turned back to drive the last centimetres to
+        it, with each new plan."""
         if len(self.route) < 2:
             return None
         a, leg = self.route[:-1], np.diff(self.route, axis=0)

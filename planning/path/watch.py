@@ -73,7 +73,8 @@ def in_fields(path: Path, graph: TraversalGraph) -> NDArray[np.bool_]:
 
 
 def new_field(path: Path, graph: TraversalGraph, before: NDArray[np.bool_]) -> str:
-    """The stepfield ahead that was not known when the path was made; empty without one, or for a robot that is in a field already: it does not turn there.
+    """The stepfield ahead that was not known when the path was made; empty without one, or for a robot that is in a
+    field already: it does not turn there.
 
     before: (k,) or more, `in_fields` of then; its last k belong to the poses that are still watched.
     """

@@ -96,7 +96,8 @@ def _take_over(
 def _find_reverse(
     indptr: np.ndarray, source: np.ndarray, target: np.ndarray, slots: np.ndarray, out: np.ndarray
 ) -> None:
-    """Write the slot of the opposite direction of each of `slots` into `out`; it is left alone where that is missing."""
+    """Write the slot of the opposite direction of each of `slots` into `out`; it is left alone where that is
+    missing."""
     for s in slots:
         j = target[s]
         for o in range(indptr[j], indptr[j + 1]):

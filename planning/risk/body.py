@@ -123,7 +123,8 @@ def sweep_poses(x: float, y: float, yaw_in: float, yaw_out: float, body: BodyMod
 def moments_of(
     features: NDArray[np.float64], parts: NDArray[np.int64], body: BodyModel
 ) -> NDArray[np.float64]:
-    """(k, 3, 4) moments (`aggregate`) of pose sets with features (n, 4): set k has the rows from `parts[k, 0]` to before `parts[k, 1]`.
+    """(k, 3, 4) moments (`aggregate`) of pose sets with features (n, 4): set k has the rows from `parts[k, 0]` to
+    before `parts[k, 1]`.
 
     NaN for a set without rows (paper eq. 3).
     """

@@ -29,7 +29,7 @@ class Weights(NamedTuple):
 def transition_cost(w, length, risk, body, unknown):
     """Cost [m] of a transition: l (1 + sigma r + lambda_b B + lambda_u U) (eq. 5). Works on numbers and on arrays.
 
-    `length` is planar [m], `risk` the native risk r; `body` B and `unknown` U are the worst of the transition's pose sets.
-    With B = U = 0 it is the native cost, a lower bound for what is not evaluated yet.
+    `length` is planar [m], `risk` the native risk r; `body` B and `unknown` U are the worst of the transition's pose
+    sets. With B = U = 0 it is the native cost, a lower bound for what is not evaluated yet.
     """
     return length * (1.0 + w.native * risk + w.body * body + w.unknown * unknown)

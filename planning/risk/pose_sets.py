@@ -13,7 +13,8 @@ from planning.risk.terrain import Sampler
 
 @njit(cache=True)
 def turn_angle(yaw_in: float, yaw_out: float) -> float:
-    """Shortest signed rotation [rad] from one heading to another, in (-pi, pi]; a half turn goes by +pi, whatever the rounding."""
+    """Shortest signed rotation [rad] from one heading to another, in (-pi, pi]; a half turn goes by +pi, whatever the
+    rounding."""
     d = wrap(yaw_out - yaw_in)
     return d + 2.0 * np.pi if d < -np.pi + 1e-9 else d
 

@@ -11,9 +11,11 @@ from planning.risk.terrain import Sampler, Terrain
 
 @njit(cache=True)
 def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
-    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
+    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n,
+    3)."""
     return _steps(
-        sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v, sampler.ox, sampler.oy, sampler.inv, poses
+        sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v, sampler.ox, sampler.oy, sampler.inv,
+        poses,
     )  # fmt: skip
 
 
@@ -56,7 +58,8 @@ def _steps(
 def steps_under(
     terrain: Terrain, poses: NDArray[np.float64], length: float, width: float
 ) -> NDArray[np.float64]:
-    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
+    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n,
+    3)."""
     height, trusted = terrain.height.reshape(-1), terrain.trusted.reshape(-1)
     at = *terrain.places(length, width), *terrain.origin, 1.0 / terrain.resolution
     out: NDArray[np.float64] = _steps(

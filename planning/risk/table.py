@@ -23,8 +23,9 @@ MOST_TURNS = 1_000_000
 class RiskTable:
     """What queries on one graph, map and body share. Pass it to `plan`; it fills itself and never changes a result.
 
-    When graph or map change, make a new one with the old as `previous`: edges and turns under which no cell changed keep
-    their evaluations. It takes the terrain of the old one, which makes itself another where it is asked for it again.
+    When graph or map change, make a new one with the old as `previous`: edges and turns under which no cell changed
+    keep their evaluations. It takes the terrain of the old one, which makes itself another where it is asked for it
+    again.
     """
 
     def __init__(
@@ -147,7 +148,8 @@ class RiskTable:
         return edges, sum(int((~np.isnan(t.turns[:, 0])).sum()) for t in self._tables.values())
 
     def _carry(self, old: RiskTable, was: NDArray[np.int64]) -> None:
-        """Take over what `old` knows of edges that are the same here, in its slots `was`, and have the same ground under them."""
+        """Take over what `old` knows of edges that are the same here, in its slots `was`, and have the same ground
+        under them."""
         s, changed = self.sampler, self._changed
         if changed is None:
             terrain = old.terrain
@@ -179,7 +181,8 @@ class RiskTable:
 
 
 def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
-    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none; `ids` are the old nodes'."""
+    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none; `ids` are the old
+    nodes'."""
     if not len(ids):
         return np.full(len(graph.indices), -1, np.int64)
     known = np.argsort(ids, kind="stable")
@@ -222,8 +225,8 @@ def _unchanged(
     col: int,
     changed: np.ndarray,
 ) -> np.ndarray:
-    """(old slots,) the slot of now of each edge that is the same, with no changed cell in the box that the footprint does not leave on its way; else -1. `changed`: summed-area
-    table of the cells from `row` and `col` on."""
+    """(old slots,) the slot of now of each edge that is the same, with no changed cell in the box that the footprint
+    does not leave on its way; else -1. `changed`: summed-area table of the cells from `row` and `col` on."""
     rows, cols = sampler.seen.shape[0] - 1, sampler.stride
     x, y, source, target = arcs.x, arcs.y, arcs.source, arcs.target
     ox, oy, inv, reach = sampler.ox, sampler.oy, sampler.inv, sampler.reach

@@ -21,8 +21,8 @@ class Tables(NamedTuple):
     edge: NDArray[np.float64]
     """(slots, 2)"""
     turn_at: NDArray[np.int32]
-    """(slots,) first row in `turns` of the turns out of each slot: two per edge that leaves its target, with the same end of
-    the body ahead after it and with the other; -1 = none."""
+    """(slots,) first row in `turns` of the turns out of each slot: two per edge that leaves its target, with the same
+    end of the body ahead after it and with the other; -1 = none."""
     turns: NDArray[np.float64]
     """(rows, 2); B = inf where there is no room to turn."""
     used: NDArray[np.int64]
@@ -55,8 +55,8 @@ def evaluate_edges(sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables) -> 
 
 @njit(cache=True)
 def carry_turns(now: np.ndarray, old_arcs: Arcs, old: Tables, arcs: Arcs, tables: Tables) -> np.ndarray:
-    """The rows of `old` for `tables`, which has none yet: those of turns between edges that there still are. `now` (old slots,) tells where, -1 = nowhere,
-    also of an edge at whose end the ground has changed. Returns `Tables.turns`."""
+    """The rows of `old` for `tables`, which has none yet: those of turns between edges that there still are. `now` (old
+    slots,) tells where, -1 = nowhere, also of an edge at whose end the ground has changed. Returns `Tables.turns`."""
     indptr, target, old_indptr, old_target = arcs.indptr, arcs.target, old_arcs.indptr, old_arcs.target
     turn_at, before, old_turns = tables.turn_at, old.turn_at, old.turns
     rows = 0

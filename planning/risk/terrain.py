@@ -1,4 +1,5 @@
-"""The elevation grid made ready for footprint samples: filled, padded, with what lets whole tiles of samples be skipped."""
+"""The elevation grid made ready for footprint samples: filled, padded, with what lets whole tiles of samples be
+skipped."""
 
 from __future__ import annotations
 
@@ -128,8 +129,8 @@ class Terrain:
         return cls(grid, height, padded, seen, (x - step, y - step), grid.resolution, pad)
 
     def follow(self, grid: ElevationGrid) -> Changed | None:
-        """Become the terrain of a grid that came after this one's, of the same cells: what was made for it is brought up to date where it has changed. -> where; None, and nothing
-        done, where the cells are others."""
+        """Become the terrain of a grid that came after this one's, of the same cells: what was made for it is brought
+        up to date where it has changed. -> where; None, and nothing done, where the cells are others."""
         was = self.grid
         if grid is was:
             return NOTHING
@@ -305,8 +306,8 @@ def changed_cells(
     dr: int,
     dc: int,
 ) -> tuple[tuple[int, int, int, int], np.ndarray]:
-    """Where cells are not what they were: the box around them, first row, first column, row and column after the last, and which of them in it; dr, dc: cell [0, 0] in
-    the old."""
+    """Where cells are not what they were: the box around them, first row, first column, row and column after the last,
+    and which of them in it; dr, dc: cell [0, 0] in the old."""
     rows, old_rows = height.size // stride, old_height.size // old_stride
     r0, c0, r1, c1 = rows, stride, 0, 0
     for r in range(rows):
@@ -357,7 +358,8 @@ def _patch(
     r1: int,
     c1: int,
 ) -> tuple[int, int, int, int]:
-    """Bring what `_pad` makes up to date where cells of a box have changed: rows r0 to before r1, columns c0 to before c1. -> the box of padded cells."""
+    """Bring what `_pad` makes up to date where cells of a box have changed: rows r0 to before r1, columns c0 to before
+    c1. -> the box of padded cells."""
     rows, cols = filled.shape
     n, m = height.shape
     a, b = (0 if r0 == 0 else r0 + pad), (n if r1 == rows else r1 + pad)

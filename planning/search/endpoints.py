@@ -188,8 +188,8 @@ def step_on_line(grid: ElevationGrid, a: tuple[float, float], b: tuple[float, fl
 def ground_at(
     grid: ElevationGrid, xy: tuple[float, float], max_step: float, radius: float, coverage: float
 ) -> str:
-    """The ground within `radius` of x, y, lengths in m: `unseen` where less than `coverage` of it is trusted, `blocked` by
-    a face above `max_step`, or `free`."""
+    """The ground within `radius` of x, y, lengths in m: `unseen` where less than `coverage` of it is trusted, `blocked`
+    by a face above `max_step`, or `free`."""
     if not on_map(grid, xy):
         return "unseen"
     reach = int(np.ceil(radius / grid.resolution))
@@ -228,8 +228,8 @@ def start_node(graph: TraversalGraph, grid: ElevationGrid, start: Place) -> int:
     if node is None and graph.isolated(xy):
         raise NoRoute(
             NoRouteReason.NOT_CONNECTED,
-            f"the ground at the start ({xy[0]:.2f}, {xy[1]:.2f}) can be driven on, but no way leads from it to the rest "
-            "of the graph: begin elsewhere",
+            f"the ground at the start ({xy[0]:.2f}, {xy[1]:.2f}) can be driven on, but no way leads from it to the "
+            "rest of the graph: begin elsewhere",
         )
     if node is None:
         raise NoRoute(

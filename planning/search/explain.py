@@ -118,7 +118,8 @@ class Route:
         return cost[:-1]
 
     def terms(self, w: Weights, first: int, last: int, sweeps: bool = True) -> NDArray[np.float64]:
-        """(last - first, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not count."""
+        """(last - first, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not
+        count."""
         moments = self.moments[first:last]
         a = w.mean * moments[:, :, 0] + w.tail * moments[:, :, 1]
         out = np.stack([a[..., :3].sum(axis=-1), a[..., 3]], axis=-1)

@@ -21,8 +21,8 @@ from planning.graph.graph import TraversalGraph
 from planning.search.request import PlanRequest
 
 LOOKED_FROM = 0.30
-"""[m] Around a place where the robot was, or that it gave up, no frontier is left. On a ramp the last 0.4 m to the crest
-show what lies behind it."""
+"""[m] Around a place where the robot was, or that it gave up, no frontier is left. On a ramp the last 0.4 m to the
+crest show what lies behind it."""
 SHOWED_NOTHING = 1.0
 """[m] The same around a frontier that showed nothing when the robot came to it: the rim of a pit is as dark from the
 next place on it."""
@@ -112,8 +112,8 @@ def _dark(grid: ElevationGrid, place: tuple[float, float]) -> float:
 
 
 def frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
-    """(n,) nodes beside ground that no ray came to, away from node `start` and from where the robot looked already; where
-    there are none, those beside virtual ground."""
+    """(n,) nodes beside ground that no ray came to, away from node `start` and from where the robot looked already;
+    where there are none, those beside virtual ground."""
     nodes = graph.nodes[:, :2]
     left = np.ones(len(nodes), np.bool_)
     for x, y, radius in ((*nodes[start].tolist(), LOOKED_FROM), *request.tried):

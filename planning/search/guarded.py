@@ -1,4 +1,5 @@
-"""The turns of a route as the guard sees them: what the planner calls room to turn is what the guard lets the body turn through."""
+"""The turns of a route as the guard sees them: what the planner calls room to turn is what the guard lets the body turn
+through."""
 
 from __future__ import annotations
 
@@ -31,11 +32,11 @@ def known_around(grid: ElevationGrid, xy: tuple[float, float], reach: float) -> 
 def guarded_turn(
     grid: ElevationGrid, params: GraphParams, xy: tuple[float, float], yaw: float, turn: float, spare: float
 ) -> float:
-    """How far [rad], at most the size of `turn`, the guard and the wheels let a body that is larger by `spare` [m] on each side turn at x, y [m] on the spot
-    from `yaw` [rad].
+    """How far [rad], at most the size of `turn`, the guard and the wheels let a body that is larger by `spare` [m] on
+    each side turn at x, y [m] on the spot from `yaw` [rad].
 
-    The guard keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when 0.14 rad of a turn are left
-    (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
+    The guard keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when
+    0.14 rad of a turn are left (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
     robot = drives_over(params)
     around, pose = known_around(grid, xy, TURN_REACH), (*xy, yaw)
@@ -57,8 +58,8 @@ def drives_over(params: GraphParams) -> Capabilities:
 
 
 def without(room: np.uint64, yaw: float, turn: float, free: float) -> np.uint64:
-    """The headings `room` (`TraversalGraph.free_headings`) less one, so that a turn from `yaw` by `turn` [rad] that the guard holds after `free`
-    [rad] finds none: `turn_is_free` asks the headings between both ends."""
+    """The headings `room` (`TraversalGraph.free_headings`) less one, so that a turn from `yaw` by `turn` [rad] that the
+    guard holds after `free` [rad] finds none: `turn_is_free` asks the headings between both ends."""
     low, high = sorted((yaw, yaw + turn))
     first, last = math.floor(low / HEADING_STEP) + 1, math.ceil(high / HEADING_STEP) - 1
     at = round((yaw + math.copysign(free, turn)) / HEADING_STEP)

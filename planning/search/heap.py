@@ -1,7 +1,7 @@
 """A binary heap in three arrays for the search kernels.
 
-Its arrays grow in a loop of their own, around the one that pushes and pops: an array that may be another one in the next round of a loop has its
-references counted in each, which took more than half of a search's time.
+Its arrays grow in a loop of their own, around the one that pushes and pops: an array that may be another one in the
+next round of a loop has its references counted in each, which took more than half of a search's time.
 """
 
 from __future__ import annotations

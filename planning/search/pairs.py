@@ -93,7 +93,8 @@ def search_pairs(
     settled, or more than `most` looked at), its states, the number of expanded states, `tables.turns`, which may have
     grown, and the guide, which knows more.
     """
-    # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on a cheaper one.
+    # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on
+    # a cheaper one.
     before, come, go, heap, least = guide
     limit, cost, route, expanded, turns = np.inf, np.inf, np.empty(0, np.int64), 0, tables.turns
     for _ in range(2):
@@ -131,7 +132,8 @@ def _forward(
     used = tables.used[0]
     states = 2 * target.size
     been = np.zeros(states, np.int8)
-    # Least evaluated cost of each state and the one before it; not filled, as a search comes to one state of a hundred on a large map.
+    # Least evaluated cost of each state and the one before it; not filled, as a search comes to one state of a hundred
+    # on a large map.
     best, parent = np.empty(states), np.empty(states, np.int64)
     size = 256
     f, s, e = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
@@ -173,7 +175,8 @@ def _forward(
                             continue
                         turned = 0.0
                         if sweeps:
-                            # What turning costs is known without a look at the ground: it is part of the bound from the beginning.
+                            # What turning costs is known without a look at the ground: it is part of the bound from the
+                            # beginning.
                             yaw = heading[out] + (np.pi if way else 0.0)
                             if state >= 0:
                                 change = way != state % 2

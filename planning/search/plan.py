@@ -93,7 +93,8 @@ def _searched(
     arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
     if found is None and request.rules.guarded:
-        # The guard sees a little more or less from where the robot will stand: better a turn that it may hold than no way.
+        # The guard sees a little more or less from where the robot will stand: better a turn that it may hold than no
+        # way.
         ends.table.arcs = arcs
         request = replace(request, rules=replace(request.rules, guarded=False))
         found = _best(ends, request, start_yaw, goal_yaw)

@@ -61,8 +61,8 @@ class PlanRequest:
     previous_frontier: tuple[float, float] | None = None
     """x, y [m] of the frontier driven to so far (`Plan.frontier`): it is kept unless another is clearly better."""
     tried: tuple[tuple[float, float, float], ...] = ()
-    """x, y, radius [m] around places where the robot looked from already, and around frontiers that it gave up, in which
-    no frontier is left."""
+    """x, y, radius [m] around places where the robot looked from already, and around frontiers that it gave up, in
+    which no frontier is left."""
     rules: DriveRules = DriveRules()
     driven: Driven | None = None
     """Kept where it leads to the same end, unless the new route is clearly better (`planning.search.keep`)."""

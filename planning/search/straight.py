@@ -25,7 +25,8 @@ from planning.search.guarded import TURN_SPARE
 LONGEST_CHORD = 16
 """Edges of a route that one chord may replace: about 7 m."""
 CHORD_SLACK = 0.02
-"""Share of a feature's scale by which a chord, or a rounded corner, may exceed the route: the height noise of one cell."""
+"""Share of a feature's scale by which a chord, or a rounded corner, may exceed the route: the height noise of one
+cell."""
 MOST_PASSES = 2
 
 

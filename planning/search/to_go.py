@@ -21,7 +21,8 @@ from planning.graph.graph import TraversalGraph
 CELL = 0.2
 """Raster of the way through unknown ground [m]."""
 KEEP_OFF = 0.15
-"""That way keeps this far from known obstacles [m]: less than half the body, so that a gap of half a metre stays open."""
+"""That way keeps this far from known obstacles [m]: less than half the body, so that a gap of half a metre stays
+open."""
 OBSTACLE = 0.25
 """A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
 AROUND_NODE = 0.4

@@ -17,7 +17,8 @@ from planning.search.request import Plan
 def worst_poses(
     found: Plan, sampler: Sampler, body: BodyModel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of each transition: the pose x, y [m], yaw [rad] with the largest sum of scaled features (eq. 2, 3), (n, 3); its turn [rad], (n,).
+    """Of each transition: the pose x, y [m], yaw [rad] with the largest sum of scaled features (eq. 2, 3), (n, 3); its
+    turn [rad], (n,).
 
     The pose sets are those of eq. 3: the edge, the turn before it, the turn at the goal with the last edge.
     """

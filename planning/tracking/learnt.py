@@ -32,7 +32,8 @@ class Learnt:
         return speed * (1.0 + self.slip)
 
     def learn_slip(self, speed: float, measured: float, commanded: float, dt: float) -> None:
-        """From the measured speed of a base that is to drive at `speed`, and the command it was given; all [m/s], in the direction of travel."""
+        """From the measured speed of a base that is to drive at `speed`, and the command it was given; all [m/s], in
+        the direction of travel."""
         if measured > _ROLLS * speed and abs(self.command(speed) - commanded) < _STEADY:
             slip = self.slip + _SLIP_RATE * (1.0 - measured / speed) * dt
             self.slip = max(-_MAX_SLIP, min(_MAX_SLIP, slip))

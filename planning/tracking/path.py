@@ -27,7 +27,8 @@ class PathError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class TrackPath:
-    """A path in the `map` frame, sampled every `step` metres. Plain lists: scalar access is what a control step does."""
+    """A path in the `map` frame, sampled every `step` metres. Plain lists: scalar access is what a control step
+    does."""
 
     x: list[float]
     y: list[float]
@@ -96,7 +97,8 @@ def track_paths(
     least: ArrayLike | float,
     **limits: float,
 ) -> list[TrackPath]:
-    """`track_path` of each stretch in one direction, in their order: backward where the body's heading is against the travel. A stretch ends at a sharp corner too."""
+    """`track_path` of each stretch in one direction, in their order: backward where the body's heading is against the
+    travel. A stretch ends at a sharp corner too."""
     whole = track_path(points, yaw, speed, least, **limits)
     if yaw is None or whole.length == 0.0:
         return [whole]
@@ -133,9 +135,9 @@ def track_path(
 ) -> TrackPath:
     """Check and resample a path.
 
-    points: (n, 2) or (n, 3) x, y[, z] in `map` [m], n >= 1. yaw: (n,) heading of the path or of the body along it
-    [rad] (a body that drives backwards may carry its own heading: the direction of travel decides), or None to
-    take it from the points. speed: (n,) or scalar upper bound [m/s]; least: (n,) or scalar, the least that passes. Raises PathError.
+    points: (n, 2) or (n, 3) x, y[, z] in `map` [m], n >= 1. yaw: (n,) heading of the path or of the body along it [rad]
+    (a body that drives backwards may carry its own heading: the direction of travel decides), or None to take it from
+    the points. speed: (n,) or scalar upper bound [m/s]; least: (n,) or scalar, the least that passes. Raises PathError.
     """
     xy = _finite("points", points)
     if xy.ndim != 2 or xy.shape[0] < 1 or xy.shape[1] not in (2, 3):
@@ -206,7 +208,8 @@ def _finite(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _along_travel(yaw: NDArray[np.float64], chord: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Yaw turned by pi where it points against the direction of travel. Raises PathError where it does not follow it."""
+    """Yaw turned by pi where it points against the direction of travel. Raises PathError where it does not follow
+    it."""
     travel = np.arctan2(chord[:, 1], chord[:, 0])
     travel = np.append(travel, travel[-1])
     against = np.cos(yaw - travel) < 0.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 from planning.tracking.types import TrackerConfig
 
 HELD_TIME = 0.5
-"""A base that does not move for so long [s] although it is told to is held by a face; once it moves it is over it after so long."""
+"""A base that does not move for so long [s] although it is told to is held by a face; once it moves it is over it after
+so long."""
 MEAN_TIME = 0.3
 """[s] over which a speed is averaged: a base that climbs at a face rocks to and fro, and gets nowhere."""
 TURN_PATIENCE = 2.0
@@ -31,7 +32,8 @@ class Stall:
         """When a turn began [ns], and how far it was [rad]."""
 
     def held(self, v: float, commanded: float, dt: float) -> bool:
-        """Whether a face holds the base, or held it just now; `v` as measured, `commanded` [m/s], `dt` [s] since the last step."""
+        """Whether a face holds the base, or held it just now; `v` as measured, `commanded` [m/s], `dt` [s] since the
+        last step."""
         least = self._params.min_speed
         self._mean += (v - self._mean) * min(dt / MEAN_TIME, 1.0)
         if abs(commanded) < 0.9 * least:
@@ -42,8 +44,8 @@ class Stall:
         return self._held > HELD_TIME
 
     def against(self, v: float, commanded: float, dt: float) -> bool:
-        """Whether the base moves the other way than it is told to, and has not come to rest since: one that climbed a hurdle reared, rolled back over
-        the one behind it for a second, and fell. Arguments as of `held`."""
+        """Whether the base moves the other way than it is told to, and has not come to rest since: one that climbed a
+        hurdle reared, rolled back over the one behind it for a second, and fell. Arguments as of `held`."""
         if self._lost:
             self._lost = abs(v) > REST_SPEED
             self._against = 0.0
@@ -54,8 +56,8 @@ class Stall:
         return self._lost
 
     def turn(self, now: int, left: float, *, aligning: bool) -> bool:
-        """Whether the turn on the spot, `left` [rad] of which remain at `now` [ns], is slower than the drive turns by itself: the safety
-        gate slows turns beside a wall. `aligning`: whether the base turns."""
+        """Whether the turn on the spot, `left` [rad] of which remain at `now` [ns], is slower than the drive turns by
+        itself: the safety gate slows turns beside a wall. `aligning`: whether the base turns."""
         if not aligning:
             self._began = now, left
         since, begun = self._began

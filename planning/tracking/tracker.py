@@ -39,8 +39,8 @@ _TURN_STALLED = 2.0
 _TURN_LEAST = 0.05
 """[rad]"""
 _CREEP_YAW_ACCEL = 0.5
-"""[rad/s^2] at most on a path that is crept: at 2.5 the forces of a bend that begins felt like an edge, on level ground in 18 of 18 simulated drives,
-at 1.0 and less in none."""
+"""[rad/s^2] at most on a path that is crept: at 2.5 the forces of a bend that begins felt like an edge, on level ground
+in 18 of 18 simulated drives, at 1.0 and less in none."""
 _ROCK = 0.08
 """How far from the goal it drives back and forth while it turns [m]."""
 
@@ -99,9 +99,10 @@ class PathTracker:
     ) -> None:
         """Follow a new path from the next step on, without stopping where it continues the old one.
 
-        points: (n, 3) or (n, 2) in `map` [m]; yaw: (n,) of the body [rad], against the travel where it drives backward, or
-        None; speed, least: (n,) or scalar [m/s], see `track_path`; goal_yaw [rad] of the body at the end, or None;
-        most [m/s]: no faster on this path, though a face holds the base or it slips, and with soft bends: it feels its way. Raises PathError and keeps the old path.
+        points: (n, 3) or (n, 2) in `map` [m]; yaw: (n,) of the body [rad], against the travel where it drives backward,
+        or None; speed, least: (n,) or scalar [m/s], see `track_path`; goal_yaw [rad] of the body at the end, or None;
+        most [m/s]: no faster on this path, though a face holds the base or it slips, and with soft bends: it feels its
+        way. Raises PathError and keeps the old path.
         """
         p = self.params
         if not most > 0.0:
@@ -264,8 +265,8 @@ class PathTracker:
         if not (resting or waited or turning):
             self._slew(0.0, 0.0, dt)
             return TrackOutput(self._vx, self._wz, self._phase, **report)
-        # The first stop must be inside the tolerance. The turn then wanders, and is kept near the goal while it goes on:
-        # a correction on the way would turn it away from the heading again.
+        # The first stop must be inside the tolerance. The turn then wanders, and is kept near the goal while it goes
+        # on: a correction on the way would turn it away from the heading again.
         if not turning and distance > 0.9 * p.goal_tolerance and self._tries > 0:
             self._tries -= 1
             self._correct(x, y, yaw, goal_x, goal_y)

@@ -21,7 +21,8 @@ class TrackerConfig(BaseModel):
     method: str = Field(
         default=OURS,
         pattern=PATTERN,
-        description="line_of_sight: the project's; an installed controller (entry point of rbtrg.trackers) or package.module:function (docs/extend.md)",
+        description="line_of_sight: the project's; an installed controller (entry point of rbtrg.trackers) or "
+        "package.module:function (docs/extend.md)",
     )
     max_speed: float = Field(
         default=0.8, gt=0, description="largest speed of base_link, even if the path allows more [m/s]"

@@ -28,6 +28,7 @@ ROOMS: dict[str, str] = {
     "hal.mujoco.robot": "hal hal.postures",
     "hal.robots.go2w": "hal hal.robots hal.postures hal.mujoco.robot",
     "hal.robots.jackal": "hal hal.robots hal.mujoco.robot",
+    "hal.robots.go2": "hal hal.robots hal.postures hal.mujoco.robot",
     "hal.mujoco": "hal hal.lidar hal.robots hal.scenes hal.postures hal.mujoco.robot",
     "hal.robots.check": "hal hal.envelope hal.robots hal.mujoco",
     "hal.mujoco.view": "hal hal.scenes hal.robots hal.mujoco",

@@ -10,6 +10,7 @@ import pytest
 
 from hal.mujoco.backend import MujocoBackend
 from hal.robots import describe
+from hal.robots.go2.simulated import RANGE as GO2_RANGE
 from hal.scenes import Scene
 from hal.types import ModeRequest, Phase
 from tests.hal.contract_suite import ContractSuite, Rig
@@ -94,3 +95,14 @@ class TestJackal(ContractSuite):
         rig.until(Phase.READY, seconds=2.0)
         rig.backend.request(ModeRequest.SIT)
         rig.until(Phase.SITTING, seconds=0.1)
+
+
+@pytest.mark.campaign
+class TestGo2(ContractSuite):
+    """It stands on feet, and cannot turn itself over."""
+
+    joint_range = GO2_RANGE
+
+    @pytest.fixture
+    def rig(self) -> Rig:
+        return rig_of(robot=describe("go2"), controller="trot")

@@ -11,11 +11,13 @@ from tools.bench.lanes.trial import Trial, drive
 
 
 @pytest.mark.campaign
-def test_a_robot_on_four_fixed_wheels_reaches_a_goal_of_the_yard() -> None:
-    record = drive(Trial(0, 0, "jackal/drive", "seen", goal="yard/a"))
+@pytest.mark.parametrize("driver", ["jackal/drive", "go2/trot"])
+def test_another_robot_reaches_a_goal_of_the_yard(driver: str) -> None:
+    """On four fixed wheels, and on feet."""
+    record = drive(Trial(0, 0, driver, "seen", goal="yard/a"))
     assert record["outcome"] == "reached"
     assert record["error"] < 0.3
-    assert record["key"] == "jackal-drive.seen.yard.a.0"
+    assert record["key"] == f"{driver.replace('/', '-')}.seen.yard.a.0"
 
 
 def test_a_world_of_the_challenge_is_driven_and_judged(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,1 @@
+"""The Unitree Go2, on feet."""

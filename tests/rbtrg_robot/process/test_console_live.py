@@ -1,13 +1,8 @@
-"""A whole stack, a real page and a program: a goal pressed on the ground moves the robot, STOP makes it stand; the
-client of the docs drives."""
+"""A whole stack and a real page: a goal pressed on the ground moves the robot, STOP makes it stand."""
 
 from __future__ import annotations
 
-import json
-import math
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urljoin
@@ -15,7 +10,6 @@ from urllib.parse import urljoin
 import pytest
 from playwright.sync_api import Page
 
-from tests.places import extension
 from tests.rbtrg_robot.console.pages import chromium, on_screen, until
 from tests.rbtrg_robot.process.command import SPARSE, command
 from tools.bench.ports import free_port
@@ -53,24 +47,6 @@ def address(folder: Path) -> str:
     said = command(folder, "console", "--robot", NAME)
     assert said.returncode == 0, said.stderr
     return said.stdout.strip()
-
-
-def test_the_program_of_the_docs_drives_the_robot(folder: Path, address: str, tmp_path: Path) -> None:
-    script = tmp_path / "errand.py"
-    script.write_text(extension("errand"))
-    status = command(folder, "status", "--json", "--robot", NAME)
-    robot = json.loads(status.stdout)["robot"]
-    x, y = robot["x"] + 0.8, robot["y"]
-    done = subprocess.run(
-        [sys.executable, str(script), address, str(x), str(y)],
-        capture_output=True,
-        text=True,
-        timeout=120.0,
-        check=False,
-    )
-    assert (done.returncode, done.stdout.split()[:1]) == (0, ["reached"]), done.stdout + done.stderr
-    robot = json.loads(command(folder, "status", "--json", "--robot", NAME).stdout)["robot"]
-    assert math.dist((robot["x"], robot["y"]), (x, y)) < 0.4
 
 
 def figure(page: Page, name: str) -> list[float]:

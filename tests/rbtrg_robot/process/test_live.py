@@ -6,8 +6,10 @@ import itertools
 import json
 import math
 import os
+import re
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -26,6 +28,7 @@ from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of
+from tests.places import extension
 from tests.rbtrg_robot.process.command import SPARSE, command
 from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
 from tools.bench.ports import free_port
@@ -48,7 +51,7 @@ class Stack:
     def up(self, *without: str) -> subprocess.CompletedProcess[str]:
         return self.run(
             *("up", "--detach", "--scene", "flat", "--set", "recorder.profile=full", *SPARSE),
-            *("--port", str(self.port), "--log-dir", str(self.logs)),
+            *("--port", str(self.port), "--console-port", "0", "--log-dir", str(self.logs)),
             *(word for name in without for word in ("--without", name)),
             limit=START_LIMIT,
         )
@@ -116,10 +119,33 @@ def stack(tmp_path: Path) -> Iterator[Stack]:
     made.run("down")
 
 
+def errand(stack: Stack) -> None:
+    """The program of the docs drives the robot by the console."""
+    address = stack.run("console")
+    assert address.returncode == 0, address.stderr
+    script = stack.folder / "errand.py"
+    script.write_text(extension("errand"))
+    robot = stack.status()["robot"]
+    x, y = robot["x"] - 0.8, robot["y"]
+    done = subprocess.run(
+        [sys.executable, str(script), address.stdout.strip(), str(x), str(y)],
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+    assert (done.returncode, done.stdout.split()[:1]) == (0, ["reached"]), done.stdout + done.stderr
+    robot = stack.status()["robot"]
+    assert math.dist((robot["x"], robot["y"]), (x, y)) < 0.4
+
+
 def test_up_goal_kill_stop_down(stack: Stack) -> None:
     up = stack.up()
     assert up.returncode == 0, up.stderr
     assert "ready" in up.stdout
+    assert re.search(r"^console: http://127\.0\.0\.1:\d+/enter\?token=\S+$", up.stdout, re.MULTILINE), (
+        up.stdout
+    )
     second = stack.up()
     assert second.returncode == 1
     status = stack.status()
@@ -145,6 +171,7 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
         assert math.dist(watch.place, (x + 2.0, y)) < 0.25
 
     assert stack.processes()["tracker"]["restarts"] == 1
+    errand(stack)
 
     rate = stack.run("topic", "hz", "/odom", "--seconds", "1")
     assert rate.returncode == 0

@@ -78,7 +78,7 @@ def run(args: list[str]) -> Report:
             report.add(f"replans.{name}", status.replans, "-")
         report.add(
             "mean_speed",
-            driven / driving if all_reached else math.nan,
+            driven / driving if all_reached and driving > 0.0 else math.nan,
             "m/s",
             LEAST_SPEED if options.goals == GOALS else None,
             at_least=True,

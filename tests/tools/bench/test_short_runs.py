@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.bench import stop
+from tools.bench import kill, lockstep, stop
 from tools.bench.outside import bench as outside
 from tools.bench.perception import bench as perception
 from tools.bench.perception import open_ground
@@ -37,6 +37,22 @@ def test_open_ground_and_a_crowd_are_driven_within_their_limits(monkeypatch: pyt
             for what in ("standing_m", "standing_deg", "stood", "driving_m", "drove")
         ),
     ]
+
+
+def test_a_goal_is_driven_in_lockstep_and_judged() -> None:
+    report = lockstep.run(
+        ["--scene", "flat", "--goals", "a", "--set", "sim.lidar_step=8", "--set", "record=false"]
+    )
+    rows = {row.key: row for row in report.rows}
+    assert rows["reached.a"].ok
+    assert rows["error_m.a"].ok
+    assert {"goal_s.a", "speed", "cpu.robot", "cpu.wire"} <= rows.keys()
+
+
+def test_a_tracker_that_dies_in_lockstep_lets_the_robot_rest() -> None:
+    report = kill.run(["--lockstep", "--only", "tracker"])
+    assert report.rows
+    assert not [row for row in report.rows if not row.ok]
 
 
 def test_a_stop_is_heard_on_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.console import frames, robots
+from rbtrg_robot.console import frames, manual, robots
 from rbtrg_robot.console.api import Api
 from rbtrg_robot.console.archive import Archive
 from rbtrg_robot.console.areas import Areas
@@ -135,6 +135,7 @@ class Site:
             *Areas(self._config, self._desk).routes(),
             *MissionFiles(self._config, self._desk).routes(),
             *robots.ROUTES,
+            *manual.ROUTES,
             *Api(self._config.robot, self._desk, self._feed, self._numbers.__next__).routes(),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]

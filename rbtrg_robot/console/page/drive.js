@@ -66,7 +66,14 @@ export function makeDrive(link, view, about, free) {
     }
     if (mine !== asked) return;
     world.goal = goal; // the robot has told of its own one meanwhile
-    if (!answer.ok) return verdict(`It would not go: ${answer.words}`, false);
+    if (!answer.ok) {
+      const why = document.createElement("a");
+      why.textContent = "What to do";
+      why.href = "/docs/operate/troubleshooting.md#a-goal-is-refused-or-given-up";
+      why.target = "_blank";
+      why.rel = "noopener";
+      return verdict(`It would not go: ${answer.words} `, false).append(why);
+    }
     const plan = readPlan(answer.found);
     world.preview = plan;
     world.shown = plan;

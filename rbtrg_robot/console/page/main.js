@@ -98,6 +98,7 @@ function show(name) {
     (made.toggleAttribute("aria-current", made.dataset.view === name),
       made.dataset.view === name && made.setAttribute("aria-current", "page"));
   for (const panel of document.querySelectorAll(".panel")) panel.hidden = panel.id !== name;
+  $("help").href = `/docs/${$(name).dataset.help}`;
   ({
     events: events.show,
     health: health.show,

@@ -201,6 +201,45 @@ def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
     assert page.evaluate("consoleView.world.chosen") == 2
 
 
+# --- help ---------------------------------------------------------------------------------------------------
+
+
+def test_help_opens_the_page_of_each_view_and_of_a_refusal_from_this_computer(
+    visit: Callable[..., Page], console: Console
+) -> None:
+    page = visit()
+    asked: list[str] = []
+    page.context.on("request", lambda request: asked.append(request.url))
+    page.fill("#gx", "5.1")
+    page.fill("#gy", "1")
+    page.click("#ask")
+    page.wait_for_selector("#answer a")
+    links = [page.evaluate("document.querySelector('#answer a').href")]
+    for view in VIEWS:
+        page.click(f"nav [data-view={view}]")
+        links.append(page.evaluate("document.querySelector('#help').href"))
+    assert "/docs/" not in "".join(asked), "loaded before anybody asked for it"
+    with page.context.expect_page() as opened:
+        page.click("#help")
+    manual = opened.value
+    for link in links:
+        manual.goto(link)
+        assert manual.locator("h1").count() == 1
+        if "#" in link:
+            assert manual.locator(f"[id='{link.partition('#')[2]}']").count() == 1, link
+    images = "[...document.images].every(i => i.complete && i.naturalWidth > 0)"
+    until(manual, images)
+    assert manual.locator("main table").count() > 0
+    assert manual.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    refused = page.context.request.get(links[0].partition("/operate")[0] + "/reference/configuration.md")
+    assert refused.status == 404
+    assert "on the site only" in refused.text()
+    base = console.address().partition("/enter")[0]
+    assert [
+        url for url in asked if not url.startswith((base, base.replace("http", "ws"), "data:", "blob:"))
+    ] == []
+
+
 # --- what people can see and reach -----------------------------------------------------------------------------
 
 SIZES = {"desk": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}

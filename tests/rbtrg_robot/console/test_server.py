@@ -251,7 +251,7 @@ def test_an_open_page_ends_with_its_cookie(
 @pytest.mark.parametrize("name", ["..", "%2e%2e%2fsecret", ".hidden", "a/b"])
 def test_no_path_leads_out_of_the_folder(console: Console, name: str) -> None:
     good = cookie(console)
-    for path in (f"/runs/{name}/config.yaml", f"/maps/{name}", f"/page/../{name}"):
+    for path in (f"/runs/{name}/config.yaml", f"/maps/{name}", f"/page/../{name}", f"/docs/{name}.md"):
         assert get(console, path, Cookie=good)[0] in (404, 405)
 
 

@@ -14,17 +14,11 @@ from tools.docs import PAGES, PUBLIC
 FILES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/*.ipynb")])
 MADE = {ROOT / "docs" / name for name in PAGES}
 """Pages that exist on the site only."""
-LATER = ("policies.md", "motors.md")
-"""Pages that are not rewritten yet."""
-FOR_USERS = [
-    f
-    for f in FILES
-    if f.name in ("README.md", "start.md", "extend.md") or f.parent.name in ("operate", "extend")
-    if f.name not in LATER
-]
+BOOK = [f for f in FILES if not {"measurements", "reference"} & set(f.parts) and f.name != "CHANGELOG.md"]
+"""Pages that are read, not looked up."""
 DIARY = (
-    r"\bseeds? \d",
-    r"\blanes? \d\d",
+    r"\b[Ss]eeds? \d",
+    r"\b[Ll]anes? \d\d",
     r"\bversions? (of now|before)\b",
     r"\bas before\b",
     r"\b(simply|obviously|easily|just|whoever|whatever|thereof)\b",
@@ -32,6 +26,11 @@ DIARY = (
 """What belongs to measurements, or to nobody."""
 LONGEST = 25
 """Words of a sentence."""
+WIDEST = 120
+"""Columns of a line of prose or code; a row of a table is one line."""
+MOST_WORDS = 25_000
+"""Of docs/ without measurements and reference: prose and tables, not code."""
+LINES_OF_A_SCREEN = 60
 
 
 def text_of(file) -> str:
@@ -78,16 +77,57 @@ def test_every_link_leads_somewhere(file):
     assert not dead
 
 
-@pytest.mark.parametrize("file", FOR_USERS, ids=name)
-def test_sentences_are_short(file):
-    assert not [s for s in sentences(text_of(file)) if len(s.split()) > LONGEST]
+def broken(text: str, widest: int = WIDEST) -> list[str]:
+    """Rules that a page of Markdown breaks: sentences, lines, words of a diary, commits."""
+    prose = re.sub(r"^ *```.*?^ *```", "", text, flags=re.S | re.M)
+    told = sentences(prose)
+    found = [f"{len(s.split())} words: {s}" for s in told if len(s.split()) > LONGEST]
+    found += [
+        f"{len(line)} columns: {line}"
+        for line in text.splitlines()
+        if len(line) > widest and not line.lstrip().startswith(("|", "<", "!["))
+    ]
+    found += [m.group() for pattern in DIARY for m in re.finditer(pattern, " ".join(told))]
+    return found + re.findall(r"`[0-9a-f]{7,12}`", prose)
 
 
-@pytest.mark.parametrize("file", FOR_USERS, ids=name)
-def test_pages_for_users_are_no_diary(file):
-    prose = " ".join(sentences(text_of(file)))
-    assert not [m.group() for pattern in DIARY for m in re.finditer(pattern, prose)]
-    assert not re.findall(r"`[0-9a-f]{7,12}`", text_of(file))  # commits
+def words(text: str) -> int:
+    """Words, without code blocks, the bars of tables and other signs that stand alone."""
+    lines = [line for line in text.splitlines() if not line.startswith("    ")]
+    return sum(any(c.isalnum() for c in word) for line in lines for word in line.split())
+
+
+@pytest.mark.parametrize("file", BOOK, ids=name)
+def test_pages_are_plain(file):
+    if file.suffix == ".ipynb":  # an editor wraps its lines
+        assert not broken(text_of(file), 10_000)
+    else:
+        assert not broken(file.read_text())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"A sentence of {'many ' * 23}words.\n",
+        f"A line of `{'x' * 110}` columns.\n",
+        "It fell with seed 7.\n",
+        "Lane 17 ran as before.\n",
+        "Since `1a2b3c4d` it stands.\n",
+    ],
+)
+def test_a_page_that_is_not_plain_is_found(text):
+    assert broken(text)
+
+
+def test_the_docs_stay_short():
+    pages = [f for f in BOOK if f.is_relative_to(ROOT / "docs")]
+    assert sum(words(text_of(f)) for f in pages) <= MOST_WORDS
+
+
+def test_the_changelog_of_a_version_is_one_screen():
+    text = (ROOT / "CHANGELOG.md").read_text()
+    assert all(len(part.splitlines()) <= LINES_OF_A_SCREEN for part in text.split("\n## ")[1:])
+    assert not [s for s in sentences(text) if len(s.split()) > LONGEST]
 
 
 def test_every_page_that_the_code_names_exists():
@@ -170,7 +210,7 @@ def orders(text: str) -> list[list[str]]:
     return [re.split(r"\s+", re.sub(r"[\[\]]", " ", line).strip())[1:] for line in code]
 
 
-@pytest.mark.parametrize("file", FOR_USERS, ids=name)
+@pytest.mark.parametrize("file", BOOK, ids=name)
 def test_every_command_exists_with_its_options(file):
     import typer
 

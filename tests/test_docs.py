@@ -165,6 +165,16 @@ def test_every_test_that_the_hazards_name_exists():
     assert not [n for n in sorted(named) if not any((place / n).is_file() for place in places)]
 
 
+def test_what_the_docs_import_stands_in_the_reference():
+    code = [c for f in FILES if f.suffix == ".ipynb" for c in json.loads(f.read_text())["cells"]]
+    text = "\n".join([*(f.read_text() for f in FILES), *("".join(c["source"]) for c in code)])
+    named = set(
+        re.findall(r"^ *(?:from|import) ((?:hal|mapping|planning|rbtrg_robot)[\w.]*)", text, flags=re.M)
+    )
+    assert len(named) > 5
+    assert named <= set(PUBLIC)
+
+
 @pytest.mark.parametrize("module", PUBLIC)
 def test_every_public_name_has_a_docstring(module):
     found = importlib.import_module(module)

@@ -26,14 +26,19 @@ PUBLIC = (
     "mapping.odometry",
     "mapping.relocalise",
     "mapping.closing",
-    "rbtrg_robot.hosts",
+    "rbtrg_robot.config",
+    "rbtrg_robot.hosts.lockstep",
+    "rbtrg_robot.hosts.offline",
     "rbtrg_robot.hosts.plan",
+    "rbtrg_robot.log.picture",
+    "rbtrg_robot.log.trajectory",
     "hal.contract",
     "hal.types",
     "hal.scenes",
     "hal.robots",
     "hal.camera",
     "hal.lidar",
+    "hal.mujoco.backend",
 )
 """Modules that other programs may import; a name of them changes with the version only."""
 

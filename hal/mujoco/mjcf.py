@@ -45,9 +45,9 @@ class Foreign:
         self.torque_limit: Array = own.torque_limit.copy()
         model = self._read()
         self.joints = _joints(model, file)
+        """Name in the file of each joint of `MOTORS`."""
         if model.site("imu") is None:
             raise ModelError(f"{file} has no site `imu` on its trunk")
-        """Name in the file of each joint of `MOTORS`."""
         for actuator in model.actuators:
             if actuator.target in self.joints.values():
                 k = MOTORS.index(next(m for m, j in self.joints.items() if j == actuator.target))

@@ -250,6 +250,9 @@ ON_TOP = """name => { const at = document.querySelector(name), box = at.getBound
 """Whether nothing covers an element."""
 CUT = """() => [...document.querySelectorAll('.scroll')]
     .filter(x => x.scrollWidth > x.clientWidth + 1).map(x => x.ariaLabel)"""
+NARROW = """() => [...document.querySelectorAll('nav > *')]
+    .filter(x => x.scrollWidth > x.clientWidth).map(x => x.textContent)"""
+"""Views whose names are cut."""
 CONTRAST = """async () => {
     const { THEMES } = await import('/page/view/palette.js');
     const light = ([r, g, b]) => [r, g, b].map(v => v / 255)
@@ -322,6 +325,7 @@ def test_every_view_is_whole_and_can_be_read_and_reached(
             assert page.locator("#photo-list li").count() == 2
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.evaluate(CUT) == [], view
+        assert page.evaluate(NARROW) == [], view
         assert page.evaluate(ON_TOP, "#halt"), view
         found = page.evaluate("axe.run({ exclude: ['#view'] })")["violations"]
         assert [(x["id"], [node["target"] for node in x["nodes"]]) for x in found] == [], view

@@ -45,7 +45,8 @@ EDGE = 0.025
 """[m] The map explains a held wheel from here on: an edge of this height takes as much push as a wheel carries (its
 radius is 0.086 m), and the map tells no lower one from its noise."""
 PUSH_TIME = 0.3
-"""[s] Time constant of the mean of what pushes at the body: decision 26."""
+"""[s] Time constant of the mean of what pushes at the body: decision 26. What the map explained it explains for as
+long: on a face a shank comes and goes."""
 WHEEL_TIME = 0.09
 """[s] that a wheel is held. One that jumps over a pebble is held for less."""
 NEAR, BELOW = 0.06, 0.04
@@ -88,6 +89,8 @@ class TouchWatch:
         self._stamp = 0
         self._body = 0.0
         """[N] mean push at the body."""
+        self._explained = -math.inf
+        """Stamp at which the map explained it last [ns]."""
         self._wheel = np.zeros(4)
         """[s] for how long each wheel was held."""
 
@@ -125,7 +128,10 @@ class TouchWatch:
         back = -way * wheel_pushes(self._limbs, sample.position, sample.effort)
         slow = speed is None or way * speed < SHORT * abs(vx)
         push = -way * self._mass * self._accel[0] - back.sum() if slow else 0.0
-        self._body = 0.0 if near_body else max(self._body + elapsed / PUSH_TIME * (push - self._body), 0.0)
+        if near_body or sample.stamp < self._explained:  # the clock was set back
+            self._explained = sample.stamp
+        mean = max(self._body + elapsed / PUSH_TIME * (push - self._body), 0.0)
+        self._body = 0.0 if sample.stamp - self._explained < PUSH_TIME * NS else mean
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]
         alone = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -97,13 +97,13 @@ PANE = (0.02, 3.0, 1.2)
         (((1.0, 0.0, 0.13), (0.04, 3.0, 0.04), 0.0), 0.5, "wheel"),
     ],
 )
-def test_what_it_drives_into_is_felt_within_a_quarter_of_a_second(
+def test_what_it_drives_into_is_felt_within_three_tenths_of_a_second(
     box: tuple[tuple[float, float, float], tuple[float, float, float], float], vx: float, part: str
 ) -> None:
     run = Run(ground(), box)
     run.drive(vx, 0.0, 5.0)
     ((when, touch),) = run.touches
-    assert run.met < when < run.met + 0.25
+    assert run.met < when < run.met + 0.3
     assert touch.way == np.sign(vx)
     assert (touch.left == 0.0) == (part == "body")
 
@@ -174,15 +174,15 @@ def test_a_pane_on_a_kerb_is_felt_astride_of_the_kerb_and_the_kerb_alone_is_not(
     assert when < pane.met + 1.0
 
 
-def pushed(forces: list[float], *, near_body: bool = False) -> list[Touch]:
+def pushed(forces: list[float], near_body: Sequence[bool] = (False,)) -> list[Touch]:
     """What is told of forces [N] on the body, one each joint sample, while it is slower than it should be and no wheel
-    pushes."""
+    pushes. `near_body`: again and again."""
     watch, touches = TouchWatch(describe().limbs, describe().body.sprung_mass, 30.0), []
     for k, force in enumerate(forces):
         stamp = k * NS // 50
         watch.imu(ImuSample(stamp, np.zeros(3), np.array([-force / 14.241, 0.0, GRAVITY])))
         joints = JointSample(stamp, np.array([0.0, 0.67, -1.3] * 4 + [0.0] * 4), np.zeros(16), np.zeros(16))
-        touch = watch.joints(joints, 0.5, 0.0, 0.2, 0.1, near_body=near_body)
+        touch = watch.joints(joints, 0.5, 0.0, 0.2, 0.1, near_body=near_body[k % len(near_body)])
         touches += [touch] if touch else []
     return touches
 
@@ -192,7 +192,9 @@ def test_what_throws_legs_about_is_no_touch_nor_what_the_map_explains_and_what_p
     assert not pushed(5 * thrown)
     pane = [100.0] * 8
     assert pushed(pane) == [Touch(1.0, 0.0)], "within 0.16 s"
-    assert not pushed(4 * pane, near_body=True)
+    assert not pushed(4 * pane, [True])
+    assert not pushed(4 * pane, 3 * [True] + 12 * [False]), "a shank that comes and goes"
+    assert pushed(4 * pane, [True] + 31 * [False]), "it was there for a moment only"
 
 
 def around(height: Callable[[np.ndarray, np.ndarray], np.ndarray], source: int = LIDAR) -> Surroundings:

@@ -16,8 +16,6 @@ from rbtrg_robot.cli.stack import _check
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.stages.robot import STEP
-from tests.rbtrg_robot.process.command import command
-from tools.bench.ports import free_port
 
 CODE = '''
 """A robot that stands, and says what it was told."""
@@ -109,26 +107,3 @@ def test_what_is_none_is_told_before_the_robot_moves(module: Path) -> None:
         BackendError, match=r"own_backend:nothing made 'no backend', which is no hal\.contract"
     ):
         build(load(None, ["backend=own_backend:nothing"]))
-
-
-@pytest.mark.campaign
-@pytest.mark.timeout(300)
-def test_up_starts_it_and_status_tells_what_it_says(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(module))
-    up = [
-        "up",
-        "--detach",
-        "--backend",
-        "mine",
-        "--port",
-        str(free_port()),
-        "--log-dir",
-        str(module / "logs"),
-    ]
-    done = command(module, *up, limit=240.0)
-    try:
-        assert done.returncode == 0, done.stderr
-        status = command(module, "status", "--json", limit=60.0)
-        assert "mine stands" in status.stdout, status.stdout + status.stderr
-    finally:
-        command(module, "down", limit=60.0)

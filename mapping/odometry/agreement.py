@@ -22,7 +22,7 @@ WAY = 1.0
 AGREED = 0.9
 """Share of it over which they must agree again."""
 LEVEL = math.cos(math.radians(5.0))
-"""Least cosine of the tilt there: on stairs all wheels roll up each riser, which is no way ahead."""
+"""Least cosine of the tilt all along it: on stairs all wheels roll up each riser, which is no way ahead."""
 HELD = 0.25
 """Share of the way of the wheels below which something holds the robot, and all of them spin: that tells no unit."""
 
@@ -94,6 +94,7 @@ class Scale:
             return
         way = float(rolled.mean())
         if after[2, 2] < LEVEL or way_ahead(before, after) * np.sign(way) < HELD * abs(way):
+            self._steps.clear()  # a metre of level ground in one piece: between two risers the trunk may be level, too
             return
         step = apart(before, after, rolled) * np.sign(way)  # there and back does not cancel
         self._steps.append((abs(way), step))

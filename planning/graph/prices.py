@@ -21,8 +21,10 @@ from planning.graph.params import GraphParams
 Array = NDArray[np.float64]
 
 ENDING = ("fell", "stuck", "touched")
-"""Kinds of `hal.envelope.FAILURES` that count on stairs. There the tracker leads a robot back that slid 0.1 m off its
-line; beside a single face the slide leaves it astride, where the next turn makes it fall."""
+"""Kinds of `hal.envelope.FAILURES` that end a drive."""
+SLIDES_END = 0.25
+"""Share of the slides that do, beside or on a face: the robot stands astride then, and may fall in the next turn. On
+stairs none did: the tracker leads the robot back. By the kerb lanes of decision 28."""
 SPREAD = math.sqrt(3.0)
 """Of the outer points, in standard deviations."""
 MIDDLE, OUTER = 2.0 / 3.0, 1.0 / 6.0
@@ -106,7 +108,7 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float)
     if controller is None or fall_cost == 0.0:
         return free(axle, tread)
     envelope = stored(controller)
-    share = {name: counted(name, *envelope.tables(name)) for name in envelope.manoeuvres}
+    share = {name: ending(name, *envelope.tables(name)) for name in envelope.manoeuvres}
     size = np.arange(SIZES) * SIZE_STEP
     angle = np.arange(ANGLES) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
@@ -156,16 +158,15 @@ def hazards(
     return np.asarray(-np.log1p(-share * np.minimum(p, 1.0 - 1e-9)))
 
 
-def counted(name: str, *tables: Table) -> float:
-    """Share of a manoeuvre's failures that count: all, but on stairs those that end a drive (`ENDING`), with half a
-    failure more of each sort (Jeffreys); the largest of several models' tables."""
-    if not name.startswith("stairs"):
-        return 1.0
+def ending(name: str, *tables: Table) -> float:
+    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys); the largest
+    of several models' tables."""
+    slides = 0.0 if name.startswith("stairs") else SLIDES_END
 
     def share(table: Table) -> float:
         first = len(table.axes) + 1
         each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
-        return (sum(each[kind] for kind in ENDING) + 0.5) / (sum(each.values()) + 1.0)
+        return (sum(each[kind] for kind in ENDING) + slides * each["slid"] + 0.5) / (sum(each.values()) + 1.0)
 
     return max(share(table) for table in tables)
 

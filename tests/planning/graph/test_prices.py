@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hal.envelope import FALL_COST, Axis, Envelope, Table, stored
 from planning.graph.params import GraphParams
-from planning.graph.prices import ANGLES, SIZES, angle_at, counted, free, hazards, prices_of, size_at
+from planning.graph.prices import ANGLES, SIZES, angle_at, ending, free, hazards, prices_of, size_at
 
 # Faces up that the hybrid controller was driven over: height [m], angle [deg], trials, failures.
 TRIALS = [
@@ -92,7 +92,7 @@ def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: s
     envelope, prices = stored(controller), prices_of(GraphParams(controller=controller))
 
     def hazard(name: str, *values: float) -> float:
-        share = counted(name, *envelope.tables(name))
+        share = ending(name, *envelope.tables(name))
         return 100.0 * float(hazards(envelope, name, 0.01, *values, share=share))
 
     i, j = size_at(0.152), angle_at(np.radians(-31.0))

@@ -11,7 +11,7 @@ import pytest
 from hal.envelope import Envelope, stored
 from mapping.grid import ElevationGrid
 from planning.graph import GraphParams, TraversalGraph
-from planning.graph.prices import ENDING, MAP_SIGMA, counted, hazards
+from planning.graph.prices import ENDING, MAP_SIGMA, SLIDES_END, ending, hazards
 from planning.risk.body import BodyModel
 from planning.risk.chance import Chance, chance
 from planning.search.explain import with_chance
@@ -58,7 +58,7 @@ def test_a_kerb_is_one_crossing_at_its_angle(
     envelope: Envelope, height: float, name: str, degrees: int
 ) -> None:
     found = drive(ground(kerb(height, math.radians(degrees))))
-    share = counted(name, *envelope.tables(name))
+    share = ending(name, *envelope.tables(name))
     low, high = (
         float(
             hazards(envelope, name, MAP_SIGMA, 0.16 + d, math.radians(max(0, degrees + a)), 0.0, share=share)
@@ -91,7 +91,7 @@ def test_even_ground_and_gentle_ramps_fail_hardly_ever() -> None:
 def test_stairs_are_risers_not_a_slope_or_kerbs(envelope: Envelope) -> None:
     grid = ground(lambda x, y: 0.15 * np.clip(np.floor((x - 2.0) / 0.32) + 1.0, 0.0, 4.0), noise=0.0)
     found = drive(grid)
-    share = counted("stairs_up", *envelope.tables("stairs_up"))
+    share = ending("stairs_up", *envelope.tables("stairs_up"))
     each = float(hazards(envelope, "stairs_up", MAP_SIGMA, 0.15, 0.32, 0.0, share=share))
     assert hazard(found) == pytest.approx(4.0 * each, rel=0.3)
     assert found.worst.startswith("up stairs of 0.15 m at x ")
@@ -102,7 +102,8 @@ def test_a_turn_on_the_spot_counts_what_lies_under_its_wheels(envelope: Envelope
     far = np.array([(1.0, 2.0), (1.6, 2.0), (1.6, 3.5)])
     astride, away = (drive(ground(kerb(0.10)), xy) for xy in (corner, far))
     assert astride.worst == "a turn of 90 deg over a 0.10 m face at x 2.5 y 2.0"
-    radian = float(hazards(envelope, "spin", MAP_SIGMA, 0.10, 0.0, 1.0))
+    share = ending("spin", *envelope.tables("spin"))
+    radian = float(hazards(envelope, "spin", MAP_SIGMA, 0.10, 0.0, 1.0, share=share))
     assert hazard(astride) == pytest.approx(0.5 * math.pi * radian, rel=0.25)
     assert away.p_fail < 1e-3
     slope = drive(ground(lambda x, y: math.tan(math.radians(24.0)) * y), far)
@@ -150,11 +151,15 @@ def test_the_chance_is_what_the_search_paid_for() -> None:
     assert -math.log1p(-found.p_fail) == pytest.approx(paid, rel=1e-4)
 
 
-def test_a_slide_counts_but_not_on_stairs(envelope: Envelope) -> None:
-    """Stairs are driven between two landings: who slid there is led back."""
-    stairs, face = envelope.manoeuvres["stairs_up"], envelope.manoeuvres["up"]
+def test_a_slide_ends_a_drive_seldom_and_on_stairs_never(envelope: Envelope) -> None:
+    """The tracker leads back who slid there, but who stands astride may fall in the next turn."""
+    table = envelope.manoeuvres["up"]
+    row = {
+        name: (0.2, 0.0, 0.0, 9.0, *kinds, 0.0) for name, kinds in (("stuck", (0, 3, 0)), ("slid", (0, 0, 4)))
+    }
+    stuck, slid = (table.model_copy(update={"cells": (row[name],)}) for name in ("stuck", "slid"))
     assert ENDING == ("fell", "stuck", "touched")
-    assert counted("up", face) == 1.0
-    assert 0.0 < counted("stairs_up", stairs) < 0.4
-    stuck = stairs.model_copy(update={"cells": ((0.1, 0.3, 0.0, 9.0, 0.0, 3.0, 0.0, 0.0),)})
-    assert counted("stairs_up", stuck) == pytest.approx(3.5 / 4.0)
+    assert ending("up", stuck) == ending("stairs_up", stuck) == pytest.approx(3.5 / 4.0)
+    assert ending("up", slid) == pytest.approx((4.0 * SLIDES_END + 0.5) / 5.0)
+    assert ending("stairs_up", slid) == pytest.approx(0.5 / 5.0)
+    assert ending("up", slid, stuck) == ending("up", stuck), "the worse model counts"

@@ -32,7 +32,7 @@ from tests.places import extension
 from tests.rbtrg_robot.strangers import until
 from tools.bench.console.stack import Console
 
-PAGES = {"/", "/enter", "/live", "/page", "/robots", "/robots/{name}"}
+PAGES = {"/", "/enter", "/live", "/page", "/robots", "/robots/{name}", "/docs/{name:path}", "/docs/images"}
 """What is served for browsers alone."""
 
 

@@ -10,6 +10,7 @@ states it expands.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,7 @@ import numpy as np
 
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits
 from planning.risk.body import BodyModel, terrain_of
@@ -93,13 +95,24 @@ def _replan(report: Report) -> None:
         grid = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
         before, raised = raised, (r, c, r + side, c + side)
         graph.update(grid, [before, raised])
-        request = PlanRequest(0, len(graph.nodes) - 1)
+        request = PlanRequest(0, _far(graph, grid))
         fresh.append(_timed(lambda g=grid, q=request: plan(graph, g, q, BODY)))  # type: ignore[misc]
         began = time.thread_time()
         table = RiskTable(graph, grid, BODY, table)
         plan(graph, grid, request, BODY, table)
         carried.append(time.thread_time() - began)
     report.add("replan_ms", 1e3 * float(np.median(carried)), "ms", baseline=1e3 * float(np.median(fresh)))
+
+
+def _far(graph: TraversalGraph, grid: ElevationGrid) -> int:
+    """The node farthest from the first one to which a way leads: edges may lead to others, by turns for which there is
+    no room."""
+    away = np.hypot(*(graph.nodes[:, :2] - graph.nodes[0, :2]).T)
+    for node in np.argsort(-away, kind="stable").tolist():
+        with contextlib.suppress(NoRoute):
+            plan(graph, grid, PlanRequest(0, node), BODY)
+            return int(node)
+    raise NoRoute(NoRouteReason.NO_ROUTE, "no node of the map can be reached: take another map")
 
 
 def rows(report: Report, large: RiskTable) -> None:

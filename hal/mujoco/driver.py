@@ -41,9 +41,9 @@ class Driver:
         """One physics step under a forward speed [m/s] and a yaw rate [rad/s]."""
         state = self.simulation.low_state()
         self._attitude.measure(state)
-        if isinstance(self.controller, Sighted) and len(self.controller.places):
-            self.controller.see(self._ground(self.controller.places))
         if self._tick % self._every == 0:
+            if isinstance(self.controller, Sighted) and len(self.controller.places):
+                self.controller.see(self._ground(self.controller.places))
             if self.sense is not None:
                 state = self.sense(state)
             command = VelocityCommand(0, vx, 0.0, wz)

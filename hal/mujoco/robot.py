@@ -90,14 +90,10 @@ def collider(body: mujoco.MjsBody, **shape: object) -> None:
     )
 
 
-def tread(wheel: mujoco.MjsBody, name: str, limbs: Limbs, y: float, friction: float) -> None:
-    """The geom of a wheel that rolls on the ground, its middle `y` [m] beside the joint; sliding `friction`."""
-    wheel.add_geom(
+def on_ground(body: mujoco.MjsBody, name: str, friction: float, **shape: object) -> None:
+    """The geom by which a wheel or a foot touches the ground, called `name`; sliding `friction`."""
+    body.add_geom(
         name=name,
-        type=CYLINDER,
-        size=[limbs.radius, limbs.tread_width / 2, 0.0],
-        pos=[0.0, y, 0.0],
-        quat=ALONG_Y,
         contype=1,
         conaffinity=2,
         condim=4,
@@ -105,7 +101,14 @@ def tread(wheel: mujoco.MjsBody, name: str, limbs: Limbs, y: float, friction: fl
         friction=[friction, SPIN_FRICTION, 0.0],
         rgba=TYRE,
         group=1,
+        **shape,
     )
+
+
+def tread(wheel: mujoco.MjsBody, name: str, limbs: Limbs, y: float, friction: float) -> None:
+    """The geom of a wheel that rolls on the ground, its middle `y` [m] beside the joint; sliding `friction`."""
+    size = [limbs.radius, limbs.tread_width / 2, 0.0]
+    on_ground(wheel, name, friction, type=CYLINDER, size=size, pos=[0.0, y, 0.0], quat=ALONG_Y)
 
 
 def sun(base: mujoco.MjsBody) -> None:

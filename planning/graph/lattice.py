@@ -161,8 +161,8 @@ class Lattice:
         cells.node_revision[moved] = version
         describe_nodes(
             grid.height, grid.trusted, cells.flags, cells.faces, *cells.origin, cells.res, cells.chosen, cells.where,
-            todo,
-            near, ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_price, self.prices, p.climbed,
+            todo, near, ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_price, self.prices,
+            p.climbed,
         )  # fmt: skip
 
     @property

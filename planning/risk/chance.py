@@ -8,6 +8,7 @@ tells how likely it fails. Ground that nobody saw has no hazard.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,14 +107,20 @@ class _Way:
             if level > 0.5 * self.turn(k, by)
             else f"on a slope of {_degrees(slope)}"
         )
-        return _at(f"a turn of {abs(math.degrees(by)):.0f} deg {on}", x, y)
+        return f"a turn of {abs(math.degrees(by)):.0f} deg {on} at x {x:.1f} y {y:.1f}"
 
     def worst_of_move(self, k: int) -> str:
-        """What makes a move dear, and where: the face, the gap, the slope or the posts that add most to it."""
+        """What makes a move dear, and where: of faces, stairs, gaps, posts and slopes, those that add most to it."""
         (xa, ya), (xb, yb), back = self._xy[k].tolist(), self._xy[k + 1].tolist(), int(self._back[k])
         d = math.hypot(xb - xa, yb - ya)
         ux, uy = (xb - xa) / d, (yb - ya) / d
-        table, found = self._table, []
+        table = self._table
+        found: dict[str, list[tuple[float, str]]] = defaultdict(list)
+        """By kind the hazard of each one, and its words."""
+
+        def add(kind: str, hazard: float, told: str, x: float, y: float) -> None:
+            found[kind].append((hazard, f"{told} at x {x:.1f} y {y:.1f}"))
+
         crossed, gaps = np.empty((room_for(d), 4)), np.empty((room_for(d), 2))
         for wheel in range(4):
             xw, yw, faces, holes, share, posts = crossed_by(
@@ -125,25 +132,20 @@ class _Way:
                 told += "" if stairs else " face" + " backward" * back
                 told += f" at {math.degrees(angle):.0f} deg to its normal" * (angle > math.radians(20.0))
                 hazard = table.of_face(size, angle, tread, bool(back))
-                found.append((hazard, told, xw + at * ux, yw + at * uy))
+                add("stairs" if stairs else "face", hazard, told, xw + at * ux, yw + at * uy)
             for at, width in gaps[:holes].tolist():
                 hazard = float(table.gap[size_at(width)])
-                found.append((hazard, f"over a {width:.2f} m gap", xw + at * ux, yw + at * uy))
-            if share > 0.0:
-                hazard = float(table.posts[size_at(posts)]) * d * share
-                found.append((hazard, f"among posts of {posts:.2f} m", xa + 0.5 * d * ux, ya + 0.5 * d * uy))
+                add("gap", hazard, f"over a {width:.2f} m gap", xw + at * ux, yw + at * uy)
+            hazard = 0.25 * float(table.posts[size_at(posts)]) * d * share
+            add("posts", hazard, f"among posts of {posts:.2f} m", xa + 0.5 * d * ux, ya + 0.5 * d * uy)
         out = np.zeros((2, 2))
         along, steep, direction = slopes(*self._ground, table, xa, ya, ux, uy, d, out)
         way = abs(math.degrees(direction) - 180.0 * back)
         word = "up" if way < 45.0 else "down" if way > 135.0 else "along"
-        place = xa + along * ux, ya + along * uy
-        found.append((float(out[0, back]), f"{word} a slope of {_degrees(steep)}", *place))
-        return _at(*max(found)[1:])
+        told = f"{word} a slope of {_degrees(steep)}"
+        add("slope", float(out[0, back]), told, xa + along * ux, ya + along * uy)
+        return max(max(found.values(), key=lambda parts: sum(hazard for hazard, _ in parts)))[1]
 
 
 def _degrees(slope: float) -> str:
     return f"{math.degrees(math.atan(slope)):.0f} deg"
-
-
-def _at(what: str, x: float, y: float) -> str:
-    return f"{what} at x {x:.1f} y {y:.1f}"

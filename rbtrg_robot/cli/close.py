@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from hal.errors import OperatorError
 from rbtrg_robot.hosts.map_build import Built, Progress, build
@@ -25,7 +24,7 @@ FLUSH_LOOKS, LOOK_EVERY = 100, 0.1
 
 
 class CloseError(OperatorError):
-    """The loops of the run are not closed; the stack goes on with the map that it had."""
+    """The loops of the run are not closed, or the robot does not know where it stands in the new map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +73,17 @@ def close(
     now = _standing(bus)
     if now.left(still):
         raise CloseError(f"the robot moved while {out} was made: let it stand, and try again")
-    for order in (LoadMap(prior), SetPose(*_planar(built.pose))):
-        end = follow(bus, order)
-        if not end.ok:
-            raise CloseError(end.words)
-    x, y, yaw = _planar(built.pose)
+    x, y = built.pose[:2, 3].tolist()
+    yaw = math.atan2(built.pose[1, 0], built.pose[0, 0])
+    end = follow(bus, LoadMap(prior))
+    if not end.ok:
+        raise CloseError(end.words)
+    told = follow(bus, SetPose(x, y, yaw))
     where = f"x {x:.2f} y {y:.2f} yaw {math.degrees(yaw):.0f} deg"
+    if not told.ok:
+        raise CloseError(
+            f"the map is loaded, but the robot was not told that it stands at {where}: {told.words}"
+        )
     return Result(
         built,
         True,
@@ -106,7 +110,3 @@ def _written(run: Path, pause: Callable[[float], None]) -> None:
         if size() != before:
             return
         pause(LOOK_EVERY)
-
-
-def _planar(pose: Any) -> tuple[float, float, float]:
-    return float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0])

@@ -18,11 +18,10 @@ from hal.mujoco.robot import (
     LENS,
     SHELL,
     SPHERE,
-    SPIN_FRICTION,
-    TYRE,
     collider,
     load,
     motor,
+    on_ground,
     sun,
     visual,
 )
@@ -98,19 +97,8 @@ class Go2:
         calf = self._link(thigh, f"{name}_calf", [0.0, 0.0, -limbs.thigh], [0.0, 1.0, 0.0], CALF)
         calf.ipos = [0.0055, 0.0, -0.13]
         collider(calf, type=CAPSULE, size=[0.012, 0.0, 0.0], fromto=[0, 0, -0.02, 0, 0, -0.17])
-        calf.add_geom(
-            name=f"{name}_wheel",
-            type=SPHERE,
-            size=[limbs.radius, 0.0, 0.0],
-            pos=[0.0, 0.0, -limbs.calf],
-            contype=1,
-            conaffinity=2,
-            condim=4,
-            priority=1,
-            friction=[friction, SPIN_FRICTION, 0.0],
-            rgba=TYRE,
-            group=1,
-        )
+        foot = {"size": [limbs.radius, 0.0, 0.0], "pos": [0.0, 0.0, -limbs.calf]}
+        on_ground(calf, f"{name}_wheel", friction, type=SPHERE, **foot)
         if looks:
             visual(hip, DARK, type=CYLINDER, size=[0.046, 0.03, 0.0], pos=[0.0, 0.07 * sy, 0.0], quat=ALONG_Y)
             visual(thigh, SHELL, type=CAPSULE, size=[0.026, 0.0, 0.0], fromto=[0, 0, -0.02, 0, 0, -0.19])

@@ -88,20 +88,17 @@ class Client:
     def _read(self) -> None:
         for frame in self._socket:
             self.bytes += len(frame)
-            if (
-                isinstance(frame, bytes)
-                and frame[0] == 1
-                and b'"kind":"stop"' in frame
-                and b"confirmed" in frame
+            for kind, word, event in (
+                (b"stop", b"confirmed", self.confirmed),
+                (b"replay", b"playing", self.replays),
             ):
-                self.confirmed.set()
-            if (
-                isinstance(frame, bytes)
-                and frame[0] == 1
-                and b'"kind":"replay"' in frame
-                and b"playing" in frame
-            ):
-                self.replays.set()
+                if (
+                    isinstance(frame, bytes)
+                    and frame[0] == 1
+                    and b'"kind":"%s"' % kind in frame
+                    and word in frame
+                ):
+                    event.set()
 
     def stop(self) -> float:
         """Seconds until the robot's answer is on the page."""

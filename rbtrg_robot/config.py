@@ -362,7 +362,8 @@ class StackConfig(BaseModel):
     @property
     def _measured(self) -> str:
         """Whose envelope counts, as `hal.envelope.stored` calls it."""
-        controller = SPORT if self.backend == "unitree" else self.controller
+        service = self.backend == "unitree" and self.unitree.level != "low"
+        controller = SPORT if service else self.controller
         return controller if self.robot_model == DEFAULT else f"{self.robot_model}/{controller}"
 
     def crossing(self) -> Crossing:

@@ -19,10 +19,10 @@ needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="reference data do
 """Only the absence of the whole folder skips: a file that is missing in it fails."""
 
 
-def extension(name: str) -> str:
-    """The code of `name`.py in `docs/extend.md`."""
+def extension(name: str, page: str = "extend.md") -> str:
+    """The code of `name`.py on a page of the docs."""
     lead = f'"""{name}.py'
-    return lead + (ROOT / "docs" / "extend.md").read_text().split(f"```python\n{lead}")[1].split("```")[0]
+    return lead + (ROOT / "docs" / page).read_text().split(f"```python\n{lead}")[1].split("```")[0]
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 DETACH_LIMIT = 1800.0
 """[s] for `--detach` to be ready: a first start compiles the kernels."""
+STALL_LIMIT = 120.0
+"""[s] in which every process runs and yet the stack is not ready, such as for a sensor that is silent."""
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 DOWN_LIMIT = 8.0
 LEFT_LIMIT = 5.0
@@ -273,7 +276,8 @@ def _wait_ready(child: subprocess.Popen[bytes], output: Path) -> bool:
     from rbtrg_robot.process.runfiles import NotRunning, state_of
 
     began, told = time.monotonic(), 0
-    while time.monotonic() - began < DETACH_LIMIT:
+    moved, stalled = began, ""
+    while (now := time.monotonic()) - began < DETACH_LIMIT and now - moved < STALL_LIMIT:
         code = child.poll()
         if code is not None:
             say(output.read_text().strip().splitlines()[-1], error=True)
@@ -287,13 +291,16 @@ def _wait_ready(child: subprocess.Popen[bytes], output: Path) -> bool:
                 say(f"running with pid {child.pid}; stop it with `rbtrg-robot down{name}`")
                 output.unlink()
                 return True
+            stalled = state["stalled"]
         except NotRunning:
             pass
-        try:
+        if not stalled:
+            moved = now
+        with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(0.1)
-        except subprocess.TimeoutExpired:
-            continue
-    say(f"rbtrg-robot: not ready after {DETACH_LIMIT:.0f} s, see {output}", error=True)
+    limit = STALL_LIMIT if stalled else DETACH_LIMIT
+    why = stalled or f"see {output}"
+    say(f"rbtrg-robot: not ready after {limit:.0f} s, ended: {why}", error=True)
     raise typer.Exit(1)
 
 

@@ -17,7 +17,7 @@ from rbtrg_robot.terminal import plain, plain_all, say
 
 REFRESH = 0.5
 TOLD = 15.0
-"""[s] between two words on the kernels where no screen shows them all the time."""
+"""[s] between two words on a start where no screen shows it all the time."""
 VERDICTS = {True: Text("ok", style="green"), False: Text("bad", style="red"), None: Text("-")}
 """Of a topic's rate; None before it can be told."""
 
@@ -46,8 +46,8 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
         if row.get("detail")
     ]
     parts: list[Any] = [processes, *told, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
-    if compiling := status.get("compiling"):
-        parts.insert(0, Text(compiling, "yellow"))
+    if waits := _waits(status):
+        parts.insert(0, Text(waits, "yellow"))
     if words := mission_line(status["robot"]):
         parts.append(Text(words))
     parts += [
@@ -76,6 +76,12 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
             )
         parts.append(table)
     return Group(*parts)
+
+
+def _waits(status: dict[str, Any]) -> str:
+    """What a start waits for; empty once the stack was ready."""
+    lacks = status.get("lacks")
+    return "; ".join(filter(None, (status.get("compiling"), lacks and f"not ready: {lacks}")))
 
 
 def plain_console() -> Console:
@@ -110,7 +116,7 @@ class Screen:
         self._console = Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._rich = self._console.is_terminal
-        self._due = 0.0
+        self._due = 0.0 if self._rich else time.monotonic() + TOLD
 
     def say(self, line: str) -> None:
         """An event."""
@@ -121,7 +127,7 @@ class Screen:
                 say(line)
 
     def show(self, status: dict[str, Any]) -> None:
-        """The table, twice a second; elsewhere now and then how far the kernels are."""
+        """The table, twice a second; elsewhere now and then what the start waits for."""
         now = time.monotonic()
         if now < self._due:
             return
@@ -129,9 +135,9 @@ class Screen:
             self._due = now + REFRESH
             with contextlib.suppress(OSError):
                 self._live.update(render(status), refresh=True)
-        elif compiling := status["compiling"]:
+        elif waits := _waits(status):
             self._due = now + TOLD
-            self.say(compiling)
+            self.say(waits)
 
     def __enter__(self) -> Self:
         if self._rich:

@@ -193,6 +193,8 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
             heart.beat()
             ahead = (now + STEP - pace.target()) / NS if config.simulated else STEP / NS
             inbox = bus.take(min(max(ahead, 0.0), 0.005))
+            if not config.simulated:
+                stage.now = bus.clock()
             while changes:
                 stage.alive(*changes.popleft())
             for received in inbox:

@@ -117,7 +117,8 @@ def running() -> list[str]:
 
 
 def take_interface(interface: str, domain: int) -> socket.socket:
-    """Hold a robot's network interface for this process: two stacks would command one robot. Raises RobotTaken.
+    """Hold a robot's network interface, or what else leads to it, for this process: two stacks would command one robot.
+    Raises RobotTaken.
 
     An abstract socket is one for all users of the computer, and the system frees it however its owner ends. `domain`:
     of DDS."""

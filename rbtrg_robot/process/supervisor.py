@@ -87,6 +87,8 @@ class Supervisor:
         self._lock = threading.Lock()
         self._snapshot = b"{}"
         self._ready = False
+        self._lacks = ""
+        """Why it is not ready."""
         self._compiling, self._compiled = Compiling(), ""
         self._console_told = "console" not in self._children
         self._were_well: set[Topic] = set()
@@ -116,7 +118,7 @@ class Supervisor:
         config = self._config
         real = config.backend != "sim"
         domain = config.unitree.dds_domain(config.interface)
-        held = take_interface(config.interface, domain) if real else nullcontext()
+        held = take_interface(config.interface or config.backend, domain) if real else nullcontext()
         with held:
             self._run(stopping, on_turn)
 
@@ -197,15 +199,24 @@ class Supervisor:
             self._console_told = True
             place = console_address(self._config.robot, token=not self._notifier.wanted)
             self._say(f"console: {place}")
-        if not self._ready and self._well():
-            self._ready, self._compiled = True, ""
+        if not self._ready:
+            self._look(lock)
+        self._notifier.status(self._summary())
+
+    def _look(self, lock: RunLock) -> None:
+        """Whether the stack is ready, or why not."""
+        before, self._lacks = self._lacks, self._missing()
+        self._ready = not self._lacks
+        if self._ready:
+            self._compiled = ""
             self._events.happened("stack", f"ready after {time.monotonic() - self.began:.1f} s")
             state = self._health.newest.get(t.ROBOT_STATE)
             if state is not None and state.phase in LYING:
                 self._say(f"the robot is {state.phase}: `rbtrg-robot posture stand` before the first goal")
+        if self._ready or self._lacks != before:
             self._write_state(lock)  # after the word: who waits for the state prints what was said
+        if self._ready:
             self._notifier.ready()
-        self._notifier.status(self._summary())
 
     def _write_state(self, lock: RunLock) -> None:
         lock.write_state(
@@ -218,25 +229,39 @@ class Supervisor:
             scene_options=self._config.scene_options,
             log_dir=self._config.log_dir if self._config.record else "",
             ready=self._ready,
+            stalled="" if self._late() else self._lacks,
             processes=list(self._children),
         )
 
-    def _well(self) -> bool:
-        """All runs as it should. A planner that looks at a large prior map for seconds before anybody asks it counts as
-        well if it was before."""
+    def _late(self) -> list[str]:
+        """Processes that do not run yet."""
+        return [n for n, child in self._children.items() if not (child.alive and self._health.is_ready(n))]
+
+    def _missing(self) -> str:
+        """What is not as it should be, the first cause of it; empty where all is. A planner that looks at a large prior
+        map for seconds before anybody asks it counts as well if it was before."""
         bad = set(self._health.unhealthy_topics(self._expected))
         self._were_well |= {topic for topic in self._expected if topic.name not in bad}
-        if not all(child.alive and self._health.is_ready(name) for name, child in self._children.items()):
-            return False
+        if late := self._late():
+            return f"{', '.join(late)} {'has' if len(late) == 1 else 'have'} not started"
         if "robot" in self._children:
             state = self._health.newest.get(t.ROBOT_STATE)
-            if state is None or state.phase not in ("ready", "moving", "stopped", *LYING):
-                return False
+            if state is None:
+                return "the backend tells no state of the robot"
+            if state.phase not in ("ready", "moving", "stopped", *LYING):
+                return f"the robot is {state.phase}: {state.cause}".removesuffix(": ")
         at_work = self._were_well if self._health.busy(PLANNER) else set()
-        return not any(
-            topic.name in bad and not (topic.owner == PLANNER and topic in at_work)
+        lacking = [
+            topic
             for topic in self._expected
+            if topic.name in bad and not (topic.owner == PLANNER and topic in at_work)
+        ]
+        sensed = [topic for topic in lacking if topic.owner == "robot"]  # the others are made of these
+        told = (
+            f"{topic.name} {self._health.topic_row(topic)['rate']:.0f} of {topic.rate:.0f} Hz"
+            for topic in sensed or lacking
         )
+        return ("the robot's backend is too slow or silent: " if sensed else "") + ", ".join(told)
 
     # --- processes --------------------------------------------------------------------------------------------
 
@@ -393,6 +418,7 @@ class Supervisor:
             "pid": os.getpid(),
             "ready": self._ready,
             "compiling": self._compiled,
+            "lacks": self._lacks,
             "refused": self._bus.refused,
             "uptime": round(time.monotonic() - self.began, 1),
             "log_dir": self._config.log_dir if self._config.record else "",

@@ -113,7 +113,8 @@ class RobotStage:
         self._feeling = Feeling(robot.limbs, robot.body)
         self._limits: dict[str, MotionLimits] = {}
         """The newest of each sender: a guard that was started anew is another one than before."""
-        self._now = 0
+        self.now = 0
+        """When what comes in is taken [ns]: a host in real time sets it before, else that of the newest tick counts."""
         self._ticks = 0
         self._state_due = 0
         self._diagnostics_due = 0
@@ -150,7 +151,7 @@ class RobotStage:
         if alive:
             self._missing.discard(process)
             if process in self._lost:
-                self._settled = self._now + SETTLE
+                self._settled = self.now + SETTLE
         else:
             self._missing.add(process)
             self._lost.add(process)
@@ -159,18 +160,18 @@ class RobotStage:
     def on(self, topic: Topic, message: Any, sender: str = "") -> Outputs:
         """Take one message; `sender` names its publisher."""
         if t.CMD_VEL.carried(message, topic):
-            if not self._missing and self._now >= self._settled:
-                self._commands.drive(TRACKER, message, sender, self._now)
+            if not self._missing and self.now >= self._settled:
+                self._commands.drive(TRACKER, message, sender, self.now)
         elif t.TRUNK.carried(message, topic):
-            if not self._missing and self._now >= self._settled:
-                self._commands.tilt(TRACKER, message, sender, self._now)
+            if not self._missing and self.now >= self._settled:
+                self._commands.tilt(TRACKER, message, sender, self.now)
         elif t.TELEOP.carried(message, topic):
             # The guard is all that hands need.
             if GUARD not in self._missing:
-                self._commands.drive(TELEOP, message, sender, self._now)
+                self._commands.drive(TELEOP, message, sender, self.now)
         elif t.TELEOP_TRUNK.carried(message, topic):
             if GUARD not in self._missing:
-                self._commands.tilt(TELEOP, message, sender, self._now)
+                self._commands.tilt(TELEOP, message, sender, self.now)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.ODOM_HEALTH.carried(message, topic):
@@ -199,14 +200,14 @@ class RobotStage:
         return []
 
     def _request(self, message: msg.RobotCommand) -> None:
-        mode = self._commands.request(message, self._now)
+        mode = self._commands.request(message, self.now)
         if mode is not None:
             self.backend.request(mode)
             self._state_due = 0
 
     def tick(self, now: int) -> Outputs:
         """Gate, drive, read."""
-        self._now = now
+        self.now = now
         self._ticks += 1
         if not self._missing and now >= self._settled:
             self._lost.clear()
@@ -295,7 +296,7 @@ class RobotStage:
     def _fresh(self) -> msg.Odometry | None:
         """The newest pose; None where it is too old to tell of motion."""
         pose = self._pose
-        return pose if pose is not None and abs(self._now - stamp_of(pose)) / NS < POSE_LIMIT else None
+        return pose if pose is not None and abs(self.now - stamp_of(pose)) / NS < POSE_LIMIT else None
 
     def _place(self) -> tuple[NDArray[np.float64], float] | None:
         """Position (3,) [m] and yaw [rad] of base_link in `map`; None where it is not known."""
@@ -329,7 +330,7 @@ class RobotStage:
             self._rolls = float(sample.velocity[WHEELS].mean()) * self._radius
             # Where the wheels feel an edge their reflex moves the robot, not the command.
             reflex = self.backend.state().cause.startswith(FELT_EDGE)
-            driven = VelocityCommand(self._now) if reflex else self._driven
+            driven = VelocityCommand(self.now) if reflex else self._driven
             speed = None if self._fresh is None else self._fresh.twist.twist.linear.x
             return [
                 (t.JOINTS, joint_msg(sample)),
@@ -347,7 +348,7 @@ class RobotStage:
         hold, taken = status.hold, self._commands.taken(now)
         if self._missing and not status.latched:
             hold = f"waiting for {', '.join(sorted(self._missing))}"
-        elif self._now < self._settled and not status.latched:
+        elif self.now < self._settled and not status.latched:
             hold = f"{', '.join(sorted(self._lost))} just came back"
         elif taken and hold in ("no command", "no fresh command"):
             hold = taken

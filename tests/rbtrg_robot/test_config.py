@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from hal.contract import BackendError
+from hal.envelope import stored
 from hal.mujoco.config import SimConfig
 from hal.types import Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
@@ -231,3 +232,9 @@ def test_own_parts_stick_out_of_this_robot_by_thirty_centimetres_at_most(model: 
     assert parts(ahead - 0.01)[0].high[0] == ahead - 0.01
     with pytest.raises(ConfigError, match=f"own_parts: a part of the robot lies within {ahead:.2f} m ahead"):
         parts(ahead + 0.02)
+
+
+def test_at_the_motors_the_envelope_of_our_controller_counts() -> None:
+    for level, whose in (("low", "hybrid"), ("sport", "sport")):
+        config = load(None, ["backend=unitree", "interface=lo", f"unitree.level={level}"])
+        assert config.envelope() is stored(whose)

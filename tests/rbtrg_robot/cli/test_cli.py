@@ -12,9 +12,12 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import psutil
 import pytest
+import typer
 import yaml
 from rich.console import Console
 from typer.testing import CliRunner
@@ -342,6 +345,7 @@ def test_a_terminal_shows_how_far_the_kernels_are_and_no_topic_that_has_not_begu
         "robot": {},
         "refused": 0,
         "compiling": "compiling kernels: 41 of 235",
+        "lacks": "planner has not started",
     }
 
     def shown(**more: bool) -> str:
@@ -349,7 +353,7 @@ def test_a_terminal_shows_how_far_the_kernels_are_and_no_topic_that_has_not_begu
         console.print(render(status, **more))
         return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
 
-    assert shown().splitlines()[0] == "compiling kernels: 41 of 235"
+    assert shown().splitlines()[0] == "compiling kernels: 41 of 235; not ready: planner has not started"
     assert "/False" in shown()
     assert "/None" not in shown()
     assert re.search(r"/None .* -$", shown(topics=True), re.MULTILINE), (
@@ -357,14 +361,46 @@ def test_a_terminal_shows_how_far_the_kernels_are_and_no_topic_that_has_not_begu
     )
 
 
-def test_how_far_the_kernels_are_is_told_now_and_then(
+def test_what_a_start_waits_for_is_told_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    screen, now = Screen(), 0.0
+    now = 0.0
     monkeypatch.setattr("time.monotonic", lambda: now)
-    for now in range(1, 41):
-        screen.show({"compiling": f"compiling kernels: {now} of 40" if now > 3 else ""})
-    assert capsys.readouterr().out.splitlines() == [f"compiling kernels: {k} of 40" for k in (4, 19, 34)]
+    screen = Screen()
+    for now in range(1, 50):
+        compiling = f"compiling kernels: {now} of 40" if 3 < now < 40 else ""
+        screen.show({"compiling": compiling, "lacks": "the robot is damped" if now > 20 else ""})
+    assert capsys.readouterr().out.splitlines() == [
+        "compiling kernels: 15 of 40",
+        "compiling kernels: 30 of 40; not ready: the robot is damped",
+        "not ready: the robot is damped",
+    ]
+
+
+def test_detached_it_ends_with_the_cause_where_a_running_stack_does_not_get_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now, waited = 0.0, 0
+
+    def state_of(_pid: int) -> dict[str, Any]:
+        return {"ready": False, "stalled": "" if now < 600.0 else "no sweeps"}
+
+    def wait(limit: float) -> None:
+        nonlocal now, waited
+        now, waited = now + limit, waited + 1
+        raise subprocess.TimeoutExpired("up", limit)
+
+    (tmp_path / "up.log").write_text("compiling\n")
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    monkeypatch.setattr("rbtrg_robot.process.runfiles.state_of", state_of)
+    child: Any = SimpleNamespace(pid=1, poll=lambda: None, wait=wait)
+    with pytest.raises(typer.Exit) as ended:
+        stack._wait_ready(child, tmp_path / "up.log")
+    assert ended.value.exit_code == 1
+    assert now == pytest.approx(600.0 + stack.STALL_LIMIT, abs=1.0)
+    told = capsys.readouterr()
+    assert told.out == "compiling\n"
+    assert told.err == f"rbtrg-robot: not ready after {stack.STALL_LIMIT:.0f} s, ended: no sweeps\n"
 
 
 def test_words_that_nobody_takes_end_no_stack(monkeypatch: pytest.MonkeyPatch) -> None:

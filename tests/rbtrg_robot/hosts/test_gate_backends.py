@@ -146,7 +146,7 @@ class Rig:
         return robot_line(self.health.robot_row())
 
     def order(self, mode: ModeRequest) -> None:
-        latch = self.stage._commands.latch(self.stage._now)
+        latch = self.stage._commands.latch(self.stage.now)
         order = t.ROBOT_COMMAND.kind(mode=mode.value, cause="by hand", latch=latch)
         self.stage.on(t.ROBOT_COMMAND, order)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +17,12 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.stack import _check
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.robot import build
+from rbtrg_robot.process.health import RATE_SHARE, expected_topics
+from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.stages.robot import STEP
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.wire.messages import stamp_of
+from tests.places import ROOT, extension
 
 CODE = '''
 """A robot that stands, and says what it was told."""
@@ -69,13 +76,17 @@ def nothing(config, clock):
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """`own_backend.py` on the path, with the metadata of a package that has it for an entry point."""
     (tmp_path / "own_backend.py").write_text(CODE)
+    (tmp_path / "mine.py").write_text(extension("mine", "extend/robots.md"))
+    robot = shutil.copytree(ROOT / "hal/robots/jackal", tmp_path / "my_robot") / "robot.yaml"
+    robot.write_text(robot.read_text().replace("name: jackal", "name: my_robot"))
     info = tmp_path / "own_backend-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-backend\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[rbtrg.backends]\nmine = own_backend:make\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
-    sys.modules.pop("own_backend", None)
+    for name in ("own_backend", "mine"):
+        sys.modules.pop(name, None)
 
 
 @pytest.mark.parametrize("name", ["own_backend:make", "mine"])
@@ -107,3 +118,23 @@ def test_what_is_none_is_told_before_the_robot_moves(module: Path) -> None:
         BackendError, match=r"own_backend:nothing made 'no backend', which is no hal\.contract"
     ):
         build(load(None, ["backend=own_backend:nothing"]))
+
+
+def test_the_one_of_the_docs_delivers_what_the_stack_waits_for(module: Path) -> None:
+    model = str(module / "my_robot")
+    config = load(None, ["sim.lidar_step=16"], backend="mine:make", robot_model=model, scene="flat")
+    now = 7 * 10**9
+    stage = build(config, clock=lambda: now)  # type: ignore[arg-type]
+    stage.warm_up()
+    outputs: Outputs = []
+    for _ in range(200):
+        now += STEP
+        outputs += stage.tick(now)
+    stage.close()
+    count = Counter(topic for topic, _ in outputs)
+    for topic in expected_topics([BY_NAME["robot"]], simulated=False, lidars=["main", "head"]):
+        assert count[topic] >= RATE_SHARE * topic.rate, topic
+    assert t.TRUTH not in count
+    states = [message for topic, message in outputs if topic is t.ROBOT_STATE]
+    assert states[-1].phase == Phase.READY.value
+    assert 0 <= now - stamp_of(states[-1]) <= 10**8

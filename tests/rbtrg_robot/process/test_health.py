@@ -143,7 +143,20 @@ def running(phase: str = "ready") -> Supervisor:
 
 @pytest.mark.parametrize("phase", ["ready", "sitting", "standing", "disconnected", "fault"])
 def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(phase: str) -> None:
-    assert running(phase)._well() == (phase in ("ready", "sitting"))
+    told = running(phase)._missing()
+    assert told == ("" if phase in ("ready", "sitting") else f"the robot is {phase}")
+
+
+def test_what_the_start_waits_for_is_told_by_its_first_cause() -> None:
+    """A backend of somebody else that delivered nothing kept `up` waiting for half an hour without a word."""
+    supervisor = running()
+    supervisor._expected = (t.IMU, t.POINTS, t.POSE, t.CMD_VEL)
+    silent = "the robot's backend is too slow or silent: /imu/data 0 of 200 Hz, /lidar/main/points 0 of 10 Hz"
+    assert supervisor._missing() == silent
+    supervisor._expected = (t.POSE,)
+    assert supervisor._missing() == "/odom/fast 0 of 200 Hz"
+    supervisor._health.forget("guard")
+    assert supervisor._missing() == "guard has not started"
 
 
 @pytest.mark.parametrize(
@@ -176,13 +189,13 @@ def test_a_planner_that_looks_at_a_large_map_keeps_no_stack_from_being_ready(
     for turn in range(8):
         beat_of_owner(round(1 + before * turn * topic.rate / 2))
         now += 0.5
-    assert supervisor._well() is before
+    assert (not supervisor._missing()) is before
     for _ in range(10):
         beat_of_owner(99)
         now += 0.5
-    assert not supervisor._well()
+    assert supervisor._missing()
     now += silent - 0.5
-    assert supervisor._well() is well
+    assert (not supervisor._missing()) is well
 
 
 def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:

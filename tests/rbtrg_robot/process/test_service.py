@@ -56,10 +56,10 @@ def test_the_loop_tells_that_it_lives_and_what_it_knows(
     manager: socket.socket, request: pytest.FixtureRequest
 ) -> None:
     stack = request.getfixturevalue("supervisor")
+    stack._say = stack._write_state = lambda *_: None
     stack._turn(None)
     assert heard(manager) == ["WATCHDOG=1", "STATUS=starting"]
-    stack._well = lambda: True
-    stack._say = stack._write_state = lambda *_: None
+    stack._missing = lambda: ""
     for child in stack._children.values():
         child.forked = Alive()
     stack._bus.put(t.ROBOT_STATE, b"")

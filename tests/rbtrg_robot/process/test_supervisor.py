@@ -225,7 +225,8 @@ def test_the_console_is_told_when_it_serves_whoever_else_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor, zygote, said = supervised(tmp_path, [None], "console")
-    monkeypatch.setattr(supervisor, "_well", lambda: False)
+    monkeypatch.setattr(supervisor, "_write_state", lambda _lock: None)
+    monkeypatch.setattr(supervisor, "_missing", lambda: "the planner has not started")
     monkeypatch.setattr(module, "console_address", lambda *_, **__: "http://there")
     monkeypatch.setattr(zygote, "mend", lambda: False, raising=False)
     monkeypatch.setattr(zygote, "reap", lambda _known: None, raising=False)

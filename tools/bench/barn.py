@@ -1,16 +1,15 @@
 """Worlds of the BARN challenge, driven without a map by the whole stack: reached, touched, and the challenge's metric.
 
 The metric of a world is 0 unless the goal is reached without a touch within 100 s, else OT / clip(AT, 2 OT, 8 OT): OT
-is the
-shortest way at 2 m/s, AT the time that it took. It is 0.5 at most. Worlds come from the published rules, or from a
-folder of the
-challenge's own files.
+is the shortest way at 2 m/s, AT the time that it took. It is 0.5 at most. Worlds come from the published rules, or from
+a folder of the challenge's own files. One line per world goes to `--out` (JSON); what stands in it is not driven again.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.lanes.bench import spreads
-from tools.bench.records import numbers
+from tools.bench.records import Records, numbers
 from tools.bench.report import Report
 from tools.bench.spread import spread
 
@@ -53,9 +52,14 @@ def run(args: list[str]) -> Report:
         names = [f"barn:{seed}" for seed in numbers(options.seeds)]
     if not names:
         parser.error(f"--worlds: {options.worlds} holds no .world file")
-    report = Report("barn")
+    report, records = Report("barn"), Records(options.out)
     for robot in options.robots.split(","):
-        drives = list(spread(drive, [(robot, name) for name in names], options.workers, options.scheduler))
+        left = [(robot, name) for name in names if _key(robot, name) not in records.done]
+        for record in spread(drive, left, options.workers, options.scheduler):
+            records.add(record)
+            told = f"{record['detail'] or record['reached']} {record['time']:.1f} s, metric {record['metric']:.2f}"
+            print(f"{record['key']} {told}", file=sys.stderr, flush=True)
+        drives = [records.done[_key(robot, name)] for name in names]
         key = f"barn.{describe(robot).name}"
         reached = [d for d in drives if d["reached"]]
         report.rate(f"{key}.reached", len(reached), len(drives), WANTED)
@@ -66,6 +70,10 @@ def run(args: list[str]) -> Report:
                 f"{key}.way", float(np.median([d["way"] / d["shortest"] for d in reached])), "of the shortest"
             )
     return report
+
+
+def _key(robot: str, name: str) -> str:
+    return f"{describe(robot).name}.{Path(name).stem}"
 
 
 def drive(robot: str, name: str) -> dict[str, Any]:
@@ -106,6 +114,7 @@ def drive(robot: str, name: str) -> dict[str, Any]:
     best = least / FASTEST
     metric = best / min(max(took, 2.0 * best), 8.0 * best) if reached and not touched else 0.0
     return {
+        "key": _key(robot, name),
         "robot": robot,
         "world": name,
         "reached": reached,

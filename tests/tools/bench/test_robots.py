@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,9 +21,14 @@ def test_another_robot_reaches_a_goal_of_the_yard(driver: str) -> None:
     assert record["key"] == f"{driver.replace('/', '-')}.seen.yard.a.0"
 
 
-def test_a_world_of_the_challenge_is_driven_and_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_of_the_challenge_is_driven_and_judged_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(barn, "LONGEST", 1.5)
-    report = barn.run(["--robots", "jackal", "--seeds", "0", "--workers", "0"])
+    command = ["--robots", "jackal", "--seeds", "0", "--workers", "0", "--out", str(tmp_path / "out.jsonl")]
+    report = barn.run(command)
+    monkeypatch.setattr(barn, "drive", lambda *_: pytest.fail("it stands in the file"))
+    assert barn.run(command).rows == report.rows
     rows = {row.key: row for row in report.rows}
     assert rows["barn.jackal.touched"].value == 0.0
     assert rows["barn.jackal.reached"].value == rows["barn.jackal.metric"].value == 0.0, "there is no time to"

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from hal.camera import CameraConfig, CameraError, MountedCamera
 from hal.camera.stream import StreamCamera
 from hal.mujoco.config import Obstacle
-from hal.mujoco.view.camera import RenderedCamera
+from hal.mujoco.view.camera import LEAST_CELL, RenderedCamera, coarse_ground
 from hal.rotation import rotation_rpy
 from hal.scenes import Scene
 from hal.types import Extrinsics
@@ -99,6 +99,24 @@ def test_a_box_is_drawn_where_it_is_projected() -> None:
     assert columns.min() == pytest.approx(expected[:, 0].min(), abs=2.0)
     assert columns.max() == pytest.approx(expected[:, 0].max(), abs=3.0)
     assert rows.min() == pytest.approx(expected[:, 1].min(), abs=2.0)
+
+
+@given(st.integers(2, 9), st.integers(2, 9), st.sampled_from((0.01, 0.02, 0.05)))
+def test_ground_for_pictures_is_never_lower_and_lies_where_it_lay(
+    rows: int, cols: int, resolution: float
+) -> None:
+    height = np.random.default_rng(rows * cols).uniform(0.0, 1.0, (rows, cols)).astype(np.float32)
+    scene = Scene("any", height, resolution, (1.0, -2.0), (1.0, -2.0, 0.0), {})
+    coarse, cell, origin = coarse_ground(scene)
+    if coarse.shape != height.shape:
+        assert cell == pytest.approx(LEAST_CELL)
+    for row in range(rows):
+        for col in range(cols):
+            x, y = 1.0 + col * resolution, -2.0 + row * resolution
+            r, c = round((y - origin[1]) / cell - 1e-9), round((x - origin[0]) / cell - 1e-9)
+            around = coarse[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+            assert around.max() >= height[row, col]
+    assert coarse.max() == height.max()
 
 
 class Hub:

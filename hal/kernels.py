@@ -5,9 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 Kernel = Callable[..., Any]
+
+
+def for_reading(values: NDArray[Any]) -> NDArray[np.float32]:
+    """`values` as contiguous float32 that nobody writes to. A kernel is compiled anew for arrays that are read-only, as
+    those out of messages are: so it gets all of them so."""
+    out = np.ascontiguousarray(values, np.float32).view()
+    out.flags.writeable = False
+    return out
 
 
 def borrows(kernel: Kernel, **options: Any) -> Kernel:

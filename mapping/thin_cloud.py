@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.kernels import for_reading
+
 VOXEL = 0.25
 """Edge of a voxel [m]."""
 REACH = 25.0
@@ -63,7 +65,7 @@ class ThinCloud:
         place: NDArray[np.float64],
         reach: float,
     ) -> None:
-        points = np.ascontiguousarray(points, np.float32)
+        points = for_reading(points)
         begin = 0
         while begin < len(points):
             begin, self._used = add_points(

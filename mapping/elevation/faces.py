@@ -202,7 +202,7 @@ def fill_faces(
         sums[t, DEPTH] += w * (z[p] - sums[t, TOP])
         sums[t, POINTS] += np.float32(1.0)
         sums[t, SHARED] += shared[p]
-    kept = 0
+    kept = np.int64(0)
     for t in range(rows):
         if handed[t] != 2:
             if kept < t:

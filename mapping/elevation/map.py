@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hal.kernels import for_reading
 from mapping.elevation import fusion as kernels
 from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
@@ -165,7 +166,7 @@ class ElevationMap:
         points = np.asarray(points)
         if points.ndim != 2 or points.shape[1] != 3:
             raise MapError(f"points must be (n, 3), got {points.shape}")
-        points = np.ascontiguousarray(points, dtype=np.float32)
+        points = for_reading(points)
         rotation, place = self.alignment.place(*checked_pose(position, orientation))
         origin = np.asarray(sensor.origin, dtype=np.float64)
         now = self._clock(stamp)

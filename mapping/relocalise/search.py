@@ -226,7 +226,7 @@ def branch_and_bound(
     found = 0
     stack = np.empty((4 * (top + 1), 4), np.int64)  # height, row, col, bound
     for n in order:
-        k, level = roots[n, 0], roots[n, 3]
+        k, level = roots[n, 0], np.int64(roots[n, 3])
         if roots[n, 4] < max(least, keep * found):
             break
         stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, roots[n, 1], roots[n, 2], roots[n, 4]

@@ -52,7 +52,7 @@ def largest(values, m, back):
 @njit(cache=True)
 def closed(height, m):
     """Closing: what is narrower than m cells is bridged."""
-    return -largest(-largest(height, m, False), m, True)
+    return -largest(-largest(height, m, np.bool_(False)), m, np.bool_(True))
 
 
 @njit(cache=True)
@@ -68,4 +68,4 @@ def covered(trusted, m):
             side[c + 1] = 0 if trusted[r, c] else min(min(above, above_left), side[c]) + 1
             above_left = above
             square[r, c] = side[c + 1] >= m
-    return largest(square, m, False)
+    return largest(square, m, np.bool_(False))

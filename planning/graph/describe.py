@@ -136,7 +136,7 @@ def turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed):
     sizes = np.empty((2 * reach + 1) ** 2, np.int64)
     rise = np.zeros((4, 2))
     known = np.zeros((4, 2), np.int64)
-    found = 0
+    found = np.int64(0)
     for r in range(max(0, r_mid - reach), min(rows, r_mid + reach + 1)):
         for c in range(max(0, c_mid - reach), min(cols, c_mid + reach + 1)):
             if not inner <= (r - r_mid) ** 2 + (c - c_mid) ** 2 <= outer:

@@ -70,7 +70,8 @@ def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, g
     n = math.ceil(d / step)
     sign, begin, low, high, first = NO_SIGN, 0, 0.0, 0.0, 0.0
     highest_post = 0
-    in_field = hole = found = holes = 0
+    in_field = hole = holes = 0
+    found = np.int64(0)
     for k in range(-beyond, n + beyond + 2):
         c = cell_of(xw + k * step * ux, x0, res)
         r = cell_of(yw + k * step * uy, y0, res)

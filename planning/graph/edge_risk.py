@@ -75,7 +75,7 @@ def disc_blocked(height, xs, ys, x0, y0, res, low, high, k, x, y, radius, limit,
         if known == known:
             return False
     r2 = radius * radius
-    n = 0
+    n = np.int64(0)
     for r in range(max(0, r_mid - k), min(rows, r_mid + k + 1)):
         dy = ys[r] - y
         rest = r2 - dy * dy

@@ -153,7 +153,7 @@ def _even(ground, both, local):
     for r in range(rows):
         for c in range(cols):
             uneven[r, c] = both[r, c] > 0 or ground[r, c] == 0
-    near = sums(uneven, CORE)
+    near = sums(uneven, np.int64(CORE))
     for r in range(rows):
         for c in range(cols):
             uneven[r, c] = near[r, c] == 0

@@ -82,7 +82,7 @@ class _Way:
 
     def move(self, k: int) -> float:
         """Hazard of move k."""
-        (xa, ya), (xb, yb), out = self._xy[k].tolist(), self._xy[k + 1].tolist(), np.empty((2, 2))
+        (xa, ya), (xb, yb), out = self._xy[k].tolist(), self._xy[k + 1].tolist(), np.empty((2, 2), np.float32)
         if (xa, ya) == (xb, yb):
             return 0.0
         edge_price(*self._ground, self._table, xa, ya, xb, yb, out)
@@ -138,7 +138,7 @@ class _Way:
                 add("gap", hazard, f"over a {width:.2f} m gap", xw + at * ux, yw + at * uy)
             hazard = 0.25 * float(table.posts[size_at(posts)]) * d * share
             add("posts", hazard, f"among posts of {posts:.2f} m", xa + 0.5 * d * ux, ya + 0.5 * d * uy)
-        out = np.zeros((2, 2))
+        out = np.zeros((2, 2), np.float32)
         along, steep, direction = slopes(*self._ground, table, xa, ya, ux, uy, d, out)
         way = abs(math.degrees(direction) - 180.0 * back)
         word = "up" if way < 45.0 else "down" if way > 135.0 else "along"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,11 +25,14 @@ class Weights(NamedTuple):
     """[rad]"""
 
 
-@njit(cache=True)
-def transition_cost(w, length, risk, body, unknown):
-    """Cost [m] of a transition: l (1 + sigma r + lambda_b B + lambda_u U) (eq. 5). Works on numbers and on arrays.
+def cost_of(w: Weights, length: Any, risk: Any, body: Any, unknown: Any) -> Any:
+    """Cost [m] of transitions: l (1 + sigma r + lambda_b B + lambda_u U) (eq. 5). Works on numbers and on arrays.
 
     `length` is planar [m], `risk` the native risk r; `body` B and `unknown` U are the worst of the transition's pose
     sets. With B = U = 0 it is the native cost, a lower bound for what is not evaluated yet.
     """
     return length * (1.0 + w.native * risk + w.body * body + w.unknown * unknown)
+
+
+transition_cost = njit(cache=True)(cost_of)
+"""The same for kernels. Called with arrays it would be compiled once more for each kind of them."""

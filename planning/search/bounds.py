@@ -21,7 +21,7 @@ from planning.risk.pose_sets import turn_angle
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.risk.turns import may_turn_to, turn_cost
-from planning.search.heap import grown, most_out, pop, push
+from planning.search.heap import NONE, ZERO, grown, most_out, pop, push
 
 
 @njit(cache=True)
@@ -50,7 +50,7 @@ def cost_to_come(
     closed = np.zeros(count, np.bool_)
     f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
     g[start] = 0.0
-    n = push(f, s, e, 0, np.hypot(gx - x[start], gy - y[start]), start, -1)
+    n = push(f, s, e, ZERO, np.hypot(gx - x[start], gy - y[start]), np.int64(start), NONE)
     total, most = np.inf, most_out(indptr) + 1
     while n > 0 and np.isinf(total):
         if n + most > f.size:
@@ -69,11 +69,11 @@ def cost_to_come(
                 cost = g[source[via]] + least_cost(w, length, risk, price, edge, via)
                 if cost < g[i]:
                     g[i] = cost
-                    n = push(f, s, e, n, cost + np.hypot(gx - x[i], gy - y[i]), i, -1)
+                    n = push(f, s, e, n, cost + np.hypot(gx - x[i], gy - y[i]), i, NONE)
                 continue
             closed[i] = True
             if is_end[i]:
-                n = push(f, s, e, n, g[i] + exit_cost[i], -1, -1)
+                n = push(f, s, e, n, g[i] + exit_cost[i], NONE, NONE)
             for out in range(indptr[i], indptr[i + 1]):
                 k = target[out]
                 if closed[k]:
@@ -84,7 +84,9 @@ def cost_to_come(
                     continue
                 if known:
                     g[k] = cost
-                n = push(f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), k, -1 if known else out)
+                n = push(
+                    f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), np.int64(k), NONE if known else out
+                )
     for i in range(count):
         if not closed[i]:
             g[i] = max(0.0, total - np.hypot(gx - x[i], gy - y[i]))
@@ -149,7 +151,7 @@ def begin_to_go(
         if is_end[k]:
             count += 2 * (indptr[k + 1] - indptr[k])
     f, s, e = np.empty(count), np.empty(count, np.int64), np.empty(count, np.int64)
-    n = 0
+    n = ZERO
     for k in range(is_end.size):
         if not is_end[k]:
             continue
@@ -158,7 +160,7 @@ def begin_to_go(
             for way in range(2):
                 h[2 * out + way] = exit_cost[k]
                 drive = drive_cost(w, length, risk, price, edge, out, way, backward)
-                n = push(f, s, e, n, exit_cost[k] + come[source[out]] + drive, 2 * out + way, 0)
+                n = push(f, s, e, n, exit_cost[k] + come[source[out]] + drive, 2 * out + way, ZERO)
     return ToGo(h, np.zeros(h.size, np.bool_)), Heap(f, s, e, n)
 
 
@@ -203,7 +205,7 @@ def cost_to_go(
                 evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
                 dearer = h[state] + come[at] + drive_cost(w, length, risk, price, edge, out, way, backward)
                 if dearer > bound:
-                    n = push(f, s, e, n, dearer, state, 0)
+                    n = push(f, s, e, n, dearer, state, ZERO)
                     continue
             settled[state] = True
             cost = h[state] + drive_cost(w, length, risk, price, edge, out, way, backward)
@@ -233,7 +235,7 @@ def cost_to_go(
                     h[to], settled[to] = new, False
                     drive = drive_cost(w, length, risk, price, edge, into, before, backward)
                     bound = new + come[source[into]] + drive
-                    n = push(f, s, e, n, bound, to, 0)
+                    n = push(f, s, e, n, bound, to, ZERO)
     return least, Heap(f, s, e, n)
 
 

@@ -13,7 +13,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.risk.body import FEATURES, BodyModel, weights_of
 from planning.risk.chance import Chance, chance
-from planning.risk.cost import Weights, transition_cost
+from planning.risk.cost import Weights, cost_of
 from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
@@ -131,7 +131,7 @@ class Route:
         """(last - first,) [m] of each transition (eq. 5), and of its turns; all transitions if not told."""
         last = len(self.risk) if last is None else last
         b, u = self.terms(w, first, last).max(axis=1).T
-        edges = transition_cost(w, self.length(first, last), self.risk[first:last], b, u)
+        edges = cost_of(w, self.length(first, last), self.risk[first:last], b, u)
         return self.factor(first, last) * edges + self.price[first:last] + self.turn_cost(first, last)
 
     def factor(self, first: int, last: int) -> NDArray[np.float64]:
@@ -162,8 +162,8 @@ def describe(
     decided = terms.argmax(axis=1)
     each = np.arange(len(length))
     body_term, unknown_term = terms[each, decided[:, 0], 0], terms[each, decided[:, 1], 1]
-    native = transition_cost(w, length, route.risk, 0.0, 0.0)
-    full = route.factor(0, count) * transition_cost(w, length, route.risk, body_term, unknown_term)
+    native = cost_of(w, length, route.risk, 0.0, 0.0)
+    full = route.factor(0, count) * cost_of(w, length, route.risk, body_term, unknown_term)
     cost = (native if request.variant == "native" else full) + route.price
     turns = (
         route.turn_cost(0, count) if request.variant not in ("native", "edge-only") else np.zeros(len(length))

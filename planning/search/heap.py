@@ -9,6 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+NONE, ZERO, ONE = np.int64(-1), np.int64(0), np.int64(1)
+"""Numbers to begin with: a kernel that is called with a number written out is compiled for this number alone."""
+
 
 @njit(cache=True)
 def push(f: np.ndarray, s: np.ndarray, e: np.ndarray, n: int, nf: float, ns: int, ne: int) -> int:

@@ -7,7 +7,7 @@ from numba import njit
 
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights, transition_cost
-from planning.search.heap import grown, most_out, pop, push
+from planning.search.heap import ONE, ZERO, grown, most_out, pop, push
 
 
 @njit(cache=True)
@@ -26,7 +26,7 @@ def search_nodes(
     f, s, e = np.empty(64), np.empty(64, np.int64), np.empty(64, np.int64)
     goal = -1
     g[start] = 0.0
-    n = push(f, s, e, 0, 0.0, start, 0)
+    n = push(f, s, e, ZERO, 0.0, np.int64(start), ZERO)
     expanded, most = 0, most_out(indptr) + 1
     while n > 0 and goal < 0:
         if n + most > f.size:
@@ -43,14 +43,14 @@ def search_nodes(
             closed[i] = True
             expanded += 1
             if is_end[i]:
-                n = push(f, s, e, n, g[i] + exit_cost[i], i, 1)
+                n = push(f, s, e, n, g[i] + exit_cost[i], i, ONE)
             for out in range(indptr[i], indptr[i + 1]):
                 k = target[out]
                 cost = g[i] + transition_cost(w, length[out], risk[out], 0.0, 0.0) + price[out, 0]
                 if not closed[k] and cost < g[k]:
                     g[k] = cost
                     parent[k] = out
-                    n = push(f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), k, 0)
+                    n = push(f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), np.int64(k), ZERO)
     if goal < 0:
         return np.inf, np.empty(0, np.int64), expanded
     steps = 0

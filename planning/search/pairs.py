@@ -34,7 +34,7 @@ from planning.search.bounds import (
     last_turn,
     turn_between,
 )
-from planning.search.heap import grown, most_out, pop, push
+from planning.search.heap import NONE, ZERO, grown, most_out, pop, push
 
 REACHED, CLOSED = 1, 2
 """What a search has done with a state: found a way to it, and gone on from it."""
@@ -54,7 +54,6 @@ class Guide(NamedTuple):
     is none."""
 
 
-@njit(cache=True)
 def guide_to(
     sampler: Sampler,
     w: Weights,
@@ -76,12 +75,10 @@ def guide_to(
     return Guide(arcs, come, go, heap, least)
 
 
-@njit(cache=True)
 def _nearly(cost: float) -> float:
     return cost + 1e-9 * max(1.0, cost)
 
 
-@njit(cache=True)
 def search_pairs(
     sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, guide: Guide, most: int
 ) -> tuple[float, np.ndarray, int, np.ndarray, Guide]:
@@ -141,10 +138,8 @@ def _forward(
     # its edge (1), its edge and its turns (2).
     came, base, stage = np.empty(size, np.int64), np.empty(size), np.empty(size, np.int8)
     extra = np.empty(size)  # what the turns of the entry cost beyond the risk of their pose sets
-    n = 0
-    entries = 0
+    n, entries, state = ZERO, ZERO, NONE
     expanded = 0
-    state = -1
     at = start
     if once:
         for out in range(indptr[start], indptr[start + 1]):
@@ -255,7 +250,7 @@ def _forward(
             been[state] = CLOSED
             at, picking = target[state // 2], False
             if is_end[at]:
-                n = push(f, s, e, n, best[state] + exit_cost[at], -1, state)
+                n = push(f, s, e, n, best[state] + exit_cost[at], NONE, state)
 
 
 @njit(cache=True)

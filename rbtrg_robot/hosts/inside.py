@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from mapping.elevation.exchange import SOURCES
 from planning.risk.body import weights_of
-from planning.risk.cost import transition_cost
+from planning.risk.cost import cost_of
 from rbtrg_robot import msg
 from rbtrg_robot.msg import Message
 from rbtrg_robot.stages.elevation import ElevationStage
@@ -163,7 +163,7 @@ def _edges(stage: PlannerStage, x: float, y: float) -> list[Row]:
         length, risk = float(arcs.length[slot]), float(graph.risk[slot])
         body, unknown = known[slot].tolist()
         crossed = float(arcs.price[slot, 0])
-        price = float(transition_cost(w, length, risk, body, unknown)) + crossed
+        price = float(cost_of(w, length, risk, body, unknown)) + crossed
         rows.append(
             (
                 f"edge to ({tx:.2f}, {ty:.2f})",

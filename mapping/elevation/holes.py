@@ -136,13 +136,13 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
     # What no row and no column has between two rims is in no slit of any direction.
     oblique = int(math.sqrt(2.0) * REACH / resolution) + 1
     along, across = np.zeros((rows, cols), np.uint8), np.zeros((rows, cols), np.uint8)
-    zero, one = np.int64(0), np.int64(1)  # with numbers written out each call would be compiled by itself
+    still, on = np.int64(0), np.int64(1)  # with numbers written out each call would be compiled by itself
     for r in range(rows):
-        _between(height, trusted, bound, deep, r, zero, zero, one, cols, oblique, along)
-        _between(height, trusted, bound, deep, r, cols - 1, zero, -one, cols, oblique, along)
+        _between(height, trusted, bound, deep, r, still, still, on, cols, oblique, along)
+        _between(height, trusted, bound, deep, r, cols - 1, still, -on, cols, oblique, along)
     for c in range(cols):
-        _between(height, trusted, bound, deep, zero, c, one, zero, rows, oblique, across)
-        _between(height, trusted, bound, deep, rows - 1, c, -one, zero, rows, oblique, across)
+        _between(height, trusted, bound, deep, still, c, on, still, rows, oblique, across)
+        _between(height, trusted, bound, deep, rows - 1, c, -on, still, rows, oblique, across)
     seeds = [(0, 0) for _ in range(0)]
     for r in range(rows):
         for c in range(cols):

@@ -226,7 +226,7 @@ def branch_and_bound(
     found = 0
     stack = np.empty((4 * (top + 1), 4), np.int64)  # height, row, col, bound
     for n in order:
-        k, level = roots[n, 0], np.int64(roots[n, 3])
+        k, lift = roots[n, 0], np.int64(roots[n, 3])
         if roots[n, 4] < max(least, keep * found):
             break
         stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, roots[n, 1], roots[n, 2], roots[n, 4]
@@ -244,7 +244,7 @@ def branch_and_bound(
                         k,
                         row,
                         col,
-                        level,
+                        lift,
                     )
                 found = max(found, bound)
                 continue
@@ -255,9 +255,9 @@ def branch_and_bound(
                     r, c = row + i * half, col + j * half
                     if r >= window[2] or c >= window[3]:
                         continue
-                    if not (ground[height - 1][r, c] >> np.uint64(level)) & np.uint64(1):
+                    if not (ground[height - 1][r, c] >> np.uint64(lift)) & np.uint64(1):
                         continue
-                    score = matched(occupied[height - 1], half, r, c, level, offsets[k], words)
+                    score = matched(occupied[height - 1], half, r, c, lift, offsets[k], words)
                     # the most promising child comes last: it is taken first
                     at = size
                     size += 1

@@ -71,10 +71,12 @@ def set_moments(
     dx: float,
     dy: float,
     dyaw: float,
-    n: int,
     out: np.ndarray,
 ) -> None:
-    """`aggregate` of `n` poses from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw), both ends in."""
+    """`aggregate` of the poses from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw) [m, rad], both ends in: a straight edge
+    or a turn in place, in steps of `edge_step` and `sweep_step` at most."""
+    steps = max(np.hypot(dx, dy) / w.edge_step, abs(dyaw) / w.sweep_step)
+    n = int(np.ceil(steps - 1e-9)) + 1
     poses, values = work.poses, work.values[:n]
     if n > MOST_POSES:
         poses, values = np.empty((n, 3)), np.empty((n, 4))
@@ -98,45 +100,19 @@ def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def edge_moments(
+def set_risk(
     sampler: Sampler,
     work: Scratch,
     w: Weights,
     x: float,
     y: float,
+    yaw: float,
     dx: float,
     dy: float,
-    out: np.ndarray,
-) -> None:
-    """Moments of the poses along the straight edge (x, y) -> (x + dx, y + dy)."""
-    n = max(2, int(np.ceil(np.hypot(dx, dy) / w.edge_step - 1e-9)) + 1)
-    set_moments(sampler, work, w, x, y, np.arctan2(dy, dx), dx, dy, 0.0, n, out)
-
-
-@njit(cache=True)
-def turn_moments(
-    sampler: Sampler, work: Scratch, w: Weights, x: float, y: float, yaw: float, d: float, out: np.ndarray
-) -> None:
-    """Moments of a turn in place from `yaw` by `d` [rad]."""
-    n = int(np.ceil(abs(d) / w.sweep_step - 1e-9)) + 1
-    set_moments(sampler, work, w, x, y, yaw, 0.0, 0.0, d, n, out)
-
-
-@njit(cache=True)
-def edge_risk(
-    sampler: Sampler, work: Scratch, w: Weights, x: float, y: float, dx: float, dy: float
+    dyaw: float,
 ) -> tuple[float, float]:
-    """B and U of a straight edge."""
-    edge_moments(sampler, work, w, x, y, dx, dy, work.moments)
-    return weigh(w, work.moments)
-
-
-@njit(cache=True)
-def turn_risk(
-    sampler: Sampler, work: Scratch, w: Weights, x: float, y: float, yaw: float, d: float
-) -> tuple[float, float]:
-    """B and U of a turn in place."""
-    turn_moments(sampler, work, w, x, y, yaw, d, work.moments)
+    """B and U of a straight edge or a turn in place, see `set_moments`."""
+    set_moments(sampler, work, w, x, y, yaw, dx, dy, dyaw, work.moments)
     return weigh(w, work.moments)
 
 
@@ -165,14 +141,14 @@ def route_moments(
         x, y = xy[t, 0], xy[t, 1]
         dx, dy = xy[t + 1, 0] - x, xy[t + 1, 1] - y
         yaw = np.arctan2(dy, dx) + (np.pi if back[t] else 0.0)
-        if flip[t]:
-            edge_moments(sampler, work, w, x + dx, y + dy, -dx, -dy, out[t, 0])
-        else:
-            edge_moments(sampler, work, w, x, y, dx, dy, out[t, 0])
+        far = 1.0 if flip[t] else 0.0
+        ex, ey = (1.0 - 2.0 * far) * dx, (1.0 - 2.0 * far) * dy
+        set_moments(sampler, work, w, x + far * dx, y + far * dy, np.arctan2(ey, ex), ex, ey, 0.0, out[t, 0])
         yaw_in = start_yaw
         if t > 0:
             yaw_in = np.arctan2(y - xy[t - 1, 1], x - xy[t - 1, 0]) + (np.pi if back[t - 1] else 0.0)
         if not np.isnan(yaw_in):
-            turn_moments(sampler, work, w, x, y, yaw_in, turn_angle(yaw_in, yaw), out[t, 1])
+            set_moments(sampler, work, w, x, y, yaw_in, 0.0, 0.0, turn_angle(yaw_in, yaw), out[t, 1])
         if t == xy.shape[0] - 2 and not np.isnan(goal_yaw):
-            turn_moments(sampler, work, w, x + dx, y + dy, yaw, turn_angle(yaw, goal_yaw), out[t, 2])
+            turn = turn_angle(yaw, goal_yaw)
+            set_moments(sampler, work, w, x + dx, y + dy, yaw, 0.0, 0.0, turn, out[t, 2])

@@ -6,15 +6,17 @@ next round of a loop has its references counted in each, which took more than ha
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numba import njit
 
-NONE, ZERO, ONE = np.int64(-1), np.int64(0), np.int64(1)
+NONE, ZERO, ONE = (cast("int", np.int64(number)) for number in (-1, 0, 1))
 """Numbers to begin with: a kernel that is called with a number written out is compiled for this number alone."""
 
 
 @njit(cache=True)
-def push(f: np.ndarray, s: np.ndarray, e: np.ndarray, n: int, nf: float, ns: int, ne: int) -> int:
+def push(f: np.ndarray, s: np.ndarray, e: np.ndarray, n: int, nf: float, ns: int | np.int64, ne: int) -> int:
     """Add (nf, ns, ne) to a binary heap ordered by f, then s; returns the new size."""
     i = n
     while i > 0:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-KERNELS = 257
+KERNELS = 250
 """Files that a start leaves where none was kept, within a tenth: `python -m tools.warm` says so when it is off."""
 INDEX = "*.nbi"
 """Numba's index of one compiled function, written anew with each compilation."""

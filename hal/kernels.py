@@ -1,4 +1,4 @@
-"""How kernels are compiled that other kernels call in their loops."""
+"""How kernels are compiled that other kernels call in their loops, and one of them."""
 
 from __future__ import annotations
 
@@ -30,3 +30,32 @@ def borrows(kernel: Kernel, **options: Any) -> Kernel:
 def inlined(kernel: Kernel) -> Kernel:
     """The same, copied to where it is called: there its arguments may be known, and loops are unrolled."""
     return borrows(kernel, forceinline=True)
+
+
+@njit(cache=True)
+def select(values, n, k):
+    """The k-th smallest of values[:n] (Hoare's quickselect; reorders `values`)."""
+    left = 0
+    right = n - 1
+    while left < right:
+        pivot = values[(left + right) >> 1]
+        i = left
+        j = right
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                t = values[i]
+                values[i] = values[j]
+                values[j] = t
+                i += 1
+                j -= 1
+        if k <= j:
+            right = j
+        elif k >= i:
+            left = i
+        else:
+            return values[k]
+    return values[k]

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.kernels import select
 from hal.raster import cell_of
 from hal.types import Array, Capabilities
 
@@ -272,7 +273,7 @@ def height_under(
     reach = math.ceil(math.hypot(length, width) / resolution)
     col, row = cell_of(x, x0, resolution), cell_of(y, y0, resolution)
     known = np.empty((2 * reach + 1) ** 2)
-    n = 0
+    n = np.int64(0)
     for r in range(max(0, row - reach), min(rows, row + reach + 1)):
         for k in range(max(0, col - reach), min(cols, col + reach + 1)):
             dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
@@ -280,7 +281,9 @@ def height_under(
             if abs(u) <= length and abs(v) <= width and not math.isnan(height[r, k]):
                 known[n] = height[r, k] - ahead * u - left * v
                 n += 1
-    return np.median(known[:n]) if n > 0 else np.nan
+    if n == 0:
+        return np.nan
+    return 0.5 * (select(known, n, (n - 1) // 2) + select(known, n, n // 2))
 
 
 @njit(cache=True)

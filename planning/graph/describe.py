@@ -8,9 +8,9 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.kernels import select
 from hal.raster import cell_of
 from planning.graph.edge_price import EVEN_TAN
-from planning.graph.edge_risk import select
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import BASE, FACE, HIGH, LOW, UNSEEN
 from planning.graph.nodes import step_distance2
@@ -229,4 +229,6 @@ def describe_nodes(
                 if not near[j, i]:
                     continue
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
-                price[j, i] = turn_price(height, trusted, faces, x0, y0, res, x, y, prices, climbed)
+                price[j, i, 0], price[j, i, 1] = turn_price(
+                    height, trusted, faces, x0, y0, res, x, y, prices, climbed
+                )

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from hal.kernels import select
 from hal.raster import cell_of
 
 F32 = np.float32
@@ -28,35 +29,6 @@ def window_minmax(height: NDArray[np.float32], k: int) -> tuple[NDArray[np.float
         ndimage.minimum_filter(low, size, mode="constant", cval=np.inf),
         ndimage.maximum_filter(high, size, mode="constant", cval=-np.inf),
     )
-
-
-@njit(cache=True)
-def select(values, n, k):
-    """The k-th smallest of values[:n] (Hoare's quickselect; reorders `values`)."""
-    left = 0
-    right = n - 1
-    while left < right:
-        pivot = values[(left + right) >> 1]
-        i = left
-        j = right
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                t = values[i]
-                values[i] = values[j]
-                values[j] = t
-                i += 1
-                j -= 1
-        if k <= j:
-            right = j
-        elif k >= i:
-            left = i
-        else:
-            return values[k]
-    return values[k]
 
 
 @njit(cache=True)

@@ -61,7 +61,16 @@ def moments_of_parts(w: Weights, values: np.ndarray, parts: np.ndarray) -> np.nd
 
 
 @njit(cache=True)
-def set_moments(
+def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
+    """B and U of one pose set from its moments."""
+    body = 0.0
+    for m in range(3):
+        body += w.mean * moments[0, m] + w.tail * moments[1, m]
+    return body, w.mean * moments[0, 3] + w.tail * moments[1, 3]
+
+
+@njit(cache=True)
+def evaluate_poses(
     sampler: Sampler,
     work: Scratch,
     w: Weights,
@@ -72,9 +81,10 @@ def set_moments(
     dy: float,
     dyaw: float,
     out: np.ndarray,
-) -> None:
-    """`aggregate` of the poses from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw) [m, rad], both ends in: a straight edge
-    or a turn in place, in steps of `edge_step` and `sweep_step` at most."""
+) -> tuple[float, float]:
+    """B and U of the poses from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw) [m, rad], both ends in: a straight edge or
+    a turn in place, in steps of `edge_step` and `sweep_step` at most. Their moments come into `out`, see
+    `aggregate`."""
     steps = max(np.hypot(dx, dy) / w.edge_step, abs(dyaw) / w.sweep_step)
     n = int(np.ceil(steps - 1e-9)) + 1
     poses, values = work.poses, work.values[:n]
@@ -88,32 +98,7 @@ def set_moments(
         poses[i, 2] = yaw + t * dyaw
     features_of(sampler, work, poses, values)
     aggregate(w, values, out)
-
-
-@njit(cache=True)
-def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
-    """B and U of one pose set from its moments."""
-    body = 0.0
-    for m in range(3):
-        body += w.mean * moments[0, m] + w.tail * moments[1, m]
-    return body, w.mean * moments[0, 3] + w.tail * moments[1, 3]
-
-
-@njit(cache=True)
-def set_risk(
-    sampler: Sampler,
-    work: Scratch,
-    w: Weights,
-    x: float,
-    y: float,
-    yaw: float,
-    dx: float,
-    dy: float,
-    dyaw: float,
-) -> tuple[float, float]:
-    """B and U of a straight edge or a turn in place, see `set_moments`."""
-    set_moments(sampler, work, w, x, y, yaw, dx, dy, dyaw, work.moments)
-    return weigh(w, work.moments)
+    return weigh(w, out)
 
 
 @njit(cache=True)
@@ -143,12 +128,14 @@ def route_moments(
         yaw = np.arctan2(dy, dx) + (np.pi if back[t] else 0.0)
         far = 1.0 if flip[t] else 0.0
         ex, ey = (1.0 - 2.0 * far) * dx, (1.0 - 2.0 * far) * dy
-        set_moments(sampler, work, w, x + far * dx, y + far * dy, np.arctan2(ey, ex), ex, ey, 0.0, out[t, 0])
+        evaluate_poses(
+            sampler, work, w, x + far * dx, y + far * dy, np.arctan2(ey, ex), ex, ey, 0.0, out[t, 0]
+        )
         yaw_in = start_yaw
         if t > 0:
             yaw_in = np.arctan2(y - xy[t - 1, 1], x - xy[t - 1, 0]) + (np.pi if back[t - 1] else 0.0)
         if not np.isnan(yaw_in):
-            set_moments(sampler, work, w, x, y, yaw_in, 0.0, 0.0, turn_angle(yaw_in, yaw), out[t, 1])
+            evaluate_poses(sampler, work, w, x, y, yaw_in, 0.0, 0.0, turn_angle(yaw_in, yaw), out[t, 1])
         if t == xy.shape[0] - 2 and not np.isnan(goal_yaw):
             turn = turn_angle(yaw, goal_yaw)
-            set_moments(sampler, work, w, x + dx, y + dy, yaw, 0.0, 0.0, turn, out[t, 2])
+            evaluate_poses(sampler, work, w, x + dx, y + dy, yaw, 0.0, 0.0, turn, out[t, 2])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights
 from planning.risk.footprint import scratch
-from planning.risk.pose_sets import set_risk
+from planning.risk.pose_sets import evaluate_poses
 from planning.risk.terrain import Sampler
 
 
@@ -39,7 +39,7 @@ def evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, slot) -
     one = min(slot, back)
     i, j = source[one], target[one]
     dx, dy = x[j] - x[i], y[j] - y[i]
-    b, u = set_risk(sampler, work, w, x[i], y[i], np.arctan2(dy, dx), dx, dy, 0.0)
+    b, u = evaluate_poses(sampler, work, w, x[i], y[i], np.arctan2(dy, dx), dx, dy, 0.0, work.moments)
     for at in (slot, back):
         edge[at, 0], edge[at, 1] = b, u
 

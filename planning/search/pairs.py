@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights, transition_cost
 from planning.risk.footprint import scratch
-from planning.risk.pose_sets import set_risk, turn_angle
+from planning.risk.pose_sets import evaluate_poses, turn_angle
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.search.bounds import (
@@ -225,16 +225,20 @@ def _forward(
                         row = turn_at[came_by] + 2 * (out - indptr[at]) + change
                         if np.isnan(turns[row, 0]):
                             d = turn_angle(heading[came_by], heading[out] + (np.pi if change else 0.0))
-                            b2, u2 = set_risk(sampler, work, w, x[at], y[at], heading[came_by], 0.0, 0.0, d)
+                            b2, u2 = evaluate_poses(
+                                sampler, work, w, x[at], y[at], heading[came_by], 0.0, 0.0, d, work.moments
+                            )
                             turns[row, 0], turns[row, 1] = b2, u2
                         b, u = max(b, turns[row, 0]), max(u, turns[row, 1])
                     elif not np.isnan(start_yaw):
                         d = turn_angle(start_yaw, yaw)
-                        b2, u2 = set_risk(sampler, work, w, x[at], y[at], start_yaw, 0.0, 0.0, d)
+                        b2, u2 = evaluate_poses(
+                            sampler, work, w, x[at], y[at], start_yaw, 0.0, 0.0, d, work.moments
+                        )
                         b, u = max(b, b2), max(u, u2)
                     if is_end[k] and not np.isnan(goal_yaw):
                         d = turn_angle(yaw, goal_yaw)
-                        b2, u2 = set_risk(sampler, work, w, x[k], y[k], yaw, 0.0, 0.0, d)
+                        b2, u2 = evaluate_poses(sampler, work, w, x[k], y[k], yaw, 0.0, 0.0, d, work.moments)
                         b, u = max(b, b2), max(u, u2)
                     cost = fixed + factor * transition_cost(w, length[out], risk[out], b, u)
                 elif not sweeps:

@@ -10,7 +10,7 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.footprint import scratch
-from planning.risk.pose_sets import set_risk, turn_angle
+from planning.risk.pose_sets import evaluate_poses, turn_angle
 from planning.risk.table import RiskTable
 from planning.risk.terrain import changed_cells
 from planning.search.endpoints import endpoints
@@ -89,7 +89,8 @@ def test_turns_are_kept_where_nothing_changed_under_them(seed: int) -> None:
                         continue
                     turn = turn_angle(arcs.heading[slot], arcs.heading[out] + change * np.pi)
                     where = arcs.x[at], arcs.y[at], arcs.heading[slot], 0.0, 0.0, turn
-                    assert tuple(got) == set_risk(table.sampler, scratch(table.sampler), W, *where)
+                    work = scratch(table.sampler)
+                    assert tuple(got) == evaluate_poses(table.sampler, work, W, *where, work.moments)
                     kept += 1
     assert kept > 50
 

@@ -21,7 +21,7 @@ from hal.raster import cell_of
 from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Body, Surroundings
 from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
-from hal.wheel_force import wheel_loads, wheel_pushes
+from hal.wheel_force import is_rigid, wheel_loads, wheel_pushes
 
 PAYLOAD, WEIGH_TIME = 26.0, 1.0
 """[kg] at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope pushes
@@ -82,6 +82,9 @@ class TouchWatch:
         """sprung_mass: [kg] that the wheels push without payload; wheels and shanks get their share from the ground
         itself. force: [N] on the body that tells a touch."""
         self._limbs, self._sprung, self._force = limbs, sprung_mass, force
+        self._joints_tell = not is_rigid(limbs)
+        """What pushes a wheel back goes through its axle. The motor of a wheel that sits on the body feels none of it,
+        and brakes in a bend: there the sum at the body tells alone."""
         self._accel: Array = np.array([0.0, 0.0, GRAVITY])
         """[m/s^2] mean specific force since the joint sample before."""
         self._sum, self._count = np.zeros(3), 0
@@ -137,7 +140,7 @@ class TouchWatch:
         alone = (
             (way * SX > 0.0) & (back > PUSHED) & (beside < STRAIN * back)
         )  # a wheel behind rolls where one rolled
-        worst = np.where(alone, back - others - TURN * abs(wz), 0.0)
+        worst = np.where(alone & self._joints_tell, back - others - TURN * abs(wz), 0.0)
         for leg in range(4):
             more = slow and uneven < EDGE and monitors.TOUCHED.outside(float(worst[leg]))
             self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)

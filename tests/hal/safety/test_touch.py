@@ -197,6 +197,24 @@ def test_what_throws_legs_about_is_no_touch_nor_what_the_map_explains_and_what_p
     assert pushed(4 * pane, [True] + 31 * [False]), "it was there for a moment only"
 
 
+@pytest.mark.parametrize(
+    ("torques", "told"), [([1.0, -3.0, 1.0, 1.0], []), ([2.0, 2.0, 2.0, 2.0], [Touch(1.0, 0.0)])]
+)
+def test_a_motor_of_a_wheel_on_the_body_that_brakes_in_a_bend_is_no_touch_and_motors_that_push_in_vain_are(
+    torques: list[float], told: list[Touch]
+) -> None:
+    """On lanes with a map the Jackal-like robot took bends on bars of 2 cm for glass."""
+    robot = describe("jackal")
+    watch = TouchWatch(robot.limbs, robot.body.sprung_mass, robot.body.touch_force)
+    touches = []
+    for k in range(40):
+        watch.imu(ImuSample(k * NS // 50, np.zeros(3), np.array([0.0, 0.0, GRAVITY])))
+        joints = JointSample(k * NS // 50, np.zeros(16), np.zeros(16), np.array([0.0] * 12 + torques))
+        touch = watch.joints(joints, 0.4, 0.1, 0.0, 0.0)
+        touches += [touch] if touch else []
+    assert touches[:1] == told
+
+
 def around(height: Callable[[np.ndarray, np.ndarray], np.ndarray], source: int = LIDAR) -> Surroundings:
     x, y = np.meshgrid(0.04 * np.arange(-35, 36), 0.04 * np.arange(-35, 36))
     heights = height(x, y).astype(np.float32)

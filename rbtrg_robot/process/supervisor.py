@@ -8,10 +8,11 @@ import logging
 import math
 import os
 import signal
-import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from rbtrg_robot.process.supervised import BACKOFF, Child, end
 from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.bus import Reply
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.messages import stamp_of
 from rbtrg_robot.wire.session import stack_id
@@ -58,6 +60,8 @@ PLANNER = "planner"
 COMPILES = (PLANNER, "elevation", "odometry", "guard", "robot")
 """Processes that compile kernels at a first start: the longest first, the robot last, for it waits for the others then.
 """
+ASKED = 64
+"""Most questions that wait for an answer; of more the oldest get none."""
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
 
@@ -84,8 +88,8 @@ class Supervisor:
         self._stack = stack_id()
         self._health = Health(config.simulated, self._clock)
         self._kept: dict[Topic, bytes] = {}
-        self._lock = threading.Lock()
-        self._snapshot = b"{}"
+        self._asked: deque[tuple[str, Reply]] = deque(maxlen=ASKED)
+        """Questions of others, not yet answered."""
         self._ready = False
         self._lacks = ""
         """Why it is not ready."""
@@ -153,24 +157,26 @@ class Supervisor:
                 self._bus = bus
                 bus.subscribe({*Health.WATCHED, *Events.HEARS, *restored})
                 bus.advertise(t.EVENTS)
-                bus.serve("status", lambda _: self._answer())
-                bus.serve("events", lambda _: json.dumps(self._events.newest()).encode())
+                for name in ("status", "events"):
+                    bus.serve(name, partial(self._ask, name))
                 try:
                     self._let_begin()
                     for child in self._children.values():
                         if child.due < math.inf:
                             self._spawn(child)
                     while not stopping():
-                        self._turn(lock)
-                        on_turn(self.status())
+                        on_turn(self._turn(lock))
                 finally:
                     self._notifier.stopping()
                     self._stop_all()
         finally:
             lock.release()
 
-    def _turn(self, lock: RunLock) -> None:
-        for received in self._bus.take(0.1):
+    def _turn(self, lock: RunLock) -> dict[str, Any]:
+        """What `status --json` prints after it."""
+        # Before the inbox: whoever asks is told all that came before the question, a stop above all.
+        asked = [self._asked.popleft() for _ in range(len(self._asked))]
+        for received in self._bus.take(0.0 if asked else 0.1):
             message = self._bus.open(received)
             if message is None:  # nothing that comes over the bus may end the stack
                 continue
@@ -188,13 +194,6 @@ class Supervisor:
         for event in self._events.due():
             self._bus.publish(t.EVENTS, event, stamp_of(event))
         self._notifier.alive()
-        status = self.status()
-        with self._lock:
-            self._snapshot = json.dumps(status).encode()
-        if time.monotonic() >= self._diagnosis_due:
-            self._diagnosis_due = time.monotonic() + 1.0
-            now = self._health.source_now
-            self._bus.publish(t.DIAGNOSTICS, self._diagnosis.message(status, now), now)
         if not self._console_told and self._health.is_ready("console"):
             self._console_told = True
             place = console_address(self._config.robot, token=not self._notifier.wanted)
@@ -202,6 +201,19 @@ class Supervisor:
         if not self._ready:
             self._look(lock)
         self._notifier.status(self._summary())
+        status = self.status()
+        if time.monotonic() >= self._diagnosis_due:
+            self._diagnosis_due = time.monotonic() + 1.0
+            now = self._health.source_now
+            self._bus.publish(t.DIAGNOSTICS, self._diagnosis.message(status, now), now)
+        for name, reply in asked:
+            reply(json.dumps(status if name == "status" else self._events.newest()).encode())
+        return status
+
+    def _ask(self, name: str, reply: Reply) -> None:
+        """Somebody asks; in Zenoh's thread."""
+        self._asked.append((name, reply))
+        self._bus.wake()
 
     def _look(self, lock: RunLock) -> None:
         """Whether the stack is ready, or why not."""
@@ -406,10 +418,6 @@ class Supervisor:
         words += [f"restarting: {', '.join(missing)}"] if missing and self._ready else []
         words += [f"robot {state.phase}"] if state is not None else []
         return "; ".join(words)
-
-    def _answer(self) -> bytes:
-        with self._lock:
-            return self._snapshot
 
     def status(self) -> dict[str, Any]:
         """What `status --json` prints."""

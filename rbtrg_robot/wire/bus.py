@@ -47,6 +47,10 @@ class BusError(OperatorError):
     """The bus cannot be reached; the message tells what to do."""
 
 
+Reply = Callable[[bytes], None]
+"""Answers one query."""
+
+
 @dataclass(frozen=True, slots=True)
 class Received(Generic[M]):
     """One message as it came: wire bytes and what the attachment says."""
@@ -369,20 +373,20 @@ class Bus(Refusals):
             found.append(str(reply.ok.key_expr))
         return found
 
-    def serve(self, name: str, answer: Callable[[bytes], bytes]) -> None:
-        """Answer queries on a name of the supervisor's own; `answer` runs in Zenoh's thread and must be quick."""
+    def serve(self, name: str, asked: Callable[[Reply], None]) -> None:
+        """Hear queries on a name of the supervisor's own. `asked(reply)` runs in Zenoh's thread and must be quick;
+        `reply` may be called later, from any thread."""
         full = wire.service(name, self.scope)
 
         def receive(query: zenoh.Query) -> None:
-            payload = query.payload.to_bytes() if query.payload is not None else b""
-            query.reply(full, answer(payload))
+            asked(lambda answer: query.reply(full, answer))
 
         self._held.append(self.session.declare_queryable(full, Callback(receive, indirect=False)))
 
-    def ask(self, name: str, payload: bytes = b"", timeout: float = 2.0) -> bytes | None:
+    def ask(self, name: str, timeout: float = 2.0) -> bytes | None:
         """The first answer to a query, or None when nobody answers in time [s]."""
         full = wire.service(name, self.scope)
-        for reply in self.session.get(full, payload=payload, timeout=timeout):
+        for reply in self.session.get(full, timeout=timeout):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
         return None

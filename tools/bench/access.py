@@ -85,8 +85,8 @@ class Site:
         self._router = Bus(
             config.endpoint, "supervisor", config.scope, router=True, security=security(config)
         )
-        self._router.serve("status", lambda _: b'"well"')
-        self._router.serve("map", lambda _: b"not for outsiders")
+        self._router.serve("status", lambda reply: reply(b'"well"'))
+        self._router.serve("map", lambda reply: reply(b"not for outsiders"))
         self.local = config.endpoint
         self.inside = Bus(config.endpoint, "robot", config.scope)
         self._turn = threading.Condition()
@@ -143,7 +143,7 @@ class Site:
         """Whether the stack hears an answer or a token from outside."""
         name = wire.node_token(Scope(), str(bus.session.zid()), "tracker")
         bus.session.liveliness().declare_token(name)
-        bus.serve("invented", lambda _: b"false")
+        bus.serve("invented", lambda reply: reply(b"false"))
         return self.inside.ask("invented", timeout=QUIET) is not None or bool(
             {"tracker", "cli"} & self.inside.processes()
         )

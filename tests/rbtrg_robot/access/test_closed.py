@@ -42,7 +42,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StackConfig:
 def router(config: StackConfig) -> Iterator[Bus]:
     """The supervisor's."""
     with Bus(config.endpoint, "supervisor", router=True, security=security(config)) as bus:
-        bus.serve("status", lambda _: b"well")
+        bus.serve("status", lambda reply: reply(b"well"))
         yield bus
 
 

@@ -48,7 +48,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         bus = held.enter_context(
             Bus(f"tcp/127.0.0.1:{ports[0]}", "supervisor", Scope.of(0, "a"), router=True)
         )
-        bus.serve("status", lambda _: answer)
+        bus.serve("status", lambda reply: reply(answer))
         yield
 
 

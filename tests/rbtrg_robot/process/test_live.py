@@ -62,12 +62,6 @@ class Stack:
         found: dict[str, Any] = json.loads(done.stdout)
         return found
 
-    def told(self, *, estop: bool) -> None:
-        """The status tells so: it hears the robot at its own pace."""
-        patience = time.monotonic() + 5.0
-        while self.status()["robot"]["estop"] is not estop:
-            assert time.monotonic() < patience
-
     def processes(self) -> dict[str, dict[str, Any]]:
         return {row["process"]: row for row in self.status()["processes"]}
 
@@ -185,12 +179,12 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
 
     stop = stack.run("stop")
     assert stop.returncode == 0, stop.stderr
-    stack.told(estop=True)
+    assert stack.status()["robot"]["estop"] is True
     refused = stack.run("goal", "0", "0", "--wait")
     assert refused.returncode == 2
     assert "emergency stop" in refused.stderr
     assert stack.run("resume").returncode == 0
-    stack.told(estop=False)
+    assert stack.status()["robot"]["estop"] is False
     nan = stack.run("goal", "nan", "1", "--wait")
     assert nan.returncode == 2
     beside = stack.run("replay", str(stack.log()))

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import socket
 import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,9 +28,10 @@ from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.supervisor import StartFailed, Supervisor
 from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
-from rbtrg_robot.wire.bus import Refusals
+from rbtrg_robot.wire.bus import Bus, Refusals
 from rbtrg_robot.wire.convert import odometry_msg, transform_msg
 from rbtrg_robot.wire.messages import array, header, stamp_of
+from tools.bench.ports import free_port
 
 
 class Scripted:
@@ -245,6 +250,47 @@ def test_the_console_is_told_when_it_serves_whoever_else_compiles(
         supervisor._turn(None)  # type: ignore[arg-type]
     assert said == ["console: http://there"]
     assert not supervisor.status()["ready"]
+
+
+def test_who_asks_is_told_the_stop_that_was_told_before_however_slow_the_supervisor_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    config = load(
+        without=tuple(p.name for p in PROCESSES), record=False, log_dir=str(tmp_path), port=free_port()
+    )
+    zygote: Any = SimpleNamespace(mend=lambda: False, reap=lambda _known: None)
+    supervisor = Supervisor(config, zygote, lambda _: None)
+    turned, go_on, over = threading.Event(), threading.Event(), threading.Event()
+
+    def hold(_status: dict[str, Any]) -> None:
+        turned.set()
+        go_on.wait(20.0)
+
+    with ThreadPoolExecutor(2) as pool, ExitStack() as ending:
+        running = pool.submit(supervisor.run, over.is_set, hold)
+        ending.callback(go_on.set)
+        ending.callback(over.set)
+        assert turned.wait(20.0)
+        robot = ending.enter_context(Bus(config.endpoint, "robot", config.scope))
+        cli = ending.enter_context(Bus(config.endpoint, "cli", config.scope))
+        cli.subscribe([t.ROBOT_STATE])
+        for latched in (False, True, False, True):
+            robot.publish(t.ROBOT_STATE, msg.RobotState(estop=latched), 1)
+            assert [received.decode().estop for received in cli.take(20.0)] == [latched]
+            answer = pool.submit(cli.ask, "status", timeout=20.0)
+            wait([answer], 0.1)  # one that was kept from before would come meanwhile
+            go_on.set()
+            told = json.loads(answer.result() or b"{}")
+            go_on.clear()
+            assert told["robot"]["estop"] is latched
+        with Bus(config.endpoint, "gone", config.scope) as gone:
+            assert gone.ask("status", timeout=0.1) is None
+        turned.clear()
+        go_on.set()
+        assert turned.wait(20.0), "who asked and left ends nothing"
+        over.set()
+        running.result()
 
 
 def test_the_process_that_starts_the_others_is_asked_each_second_and_a_new_one_is_told(

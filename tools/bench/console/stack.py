@@ -98,9 +98,9 @@ class Robot:
         )
         self.status = b"{}"
         """What the supervisor answers."""
-        self.bus.serve("status", lambda _: self.status)
+        self.bus.serve("status", lambda reply: reply(self.status))
         self.events = Events(lambda _: None, 0.1, time.time_ns, time.time_ns)
-        self.bus.serve("events", lambda _: json.dumps(self.events.newest()).encode())
+        self.bus.serve("events", lambda reply: reply(json.dumps(self.events.newest()).encode()))
         self.lock = threading.Lock()
         self.heard = threading.Event()
         """Set by every message that comes."""

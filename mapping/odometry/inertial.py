@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.limbs import Limbs
 from hal.robots import describe
-from hal.rotation import rotation, rotation_vector, skew, turn
+from hal.rotation import rotation, rotation_vector, skew, turn, wrap
 from hal.types import GRAVITY, Array
 from mapping.odometry.inertial_kernels import correct, output, run, settle
 
@@ -188,6 +188,12 @@ class InertialFilter:
         correct(self.x, gain @ np.append(-self.x[3:6], rate - self.x[12]))
         self.p -= gain @ self.p[rows]
         self.p = 0.5 * (self.p + self.p.T)
+
+    def creep(self, pose: Array, most: float) -> None:
+        """Turn the heading of a body that stands towards that of a measured `pose` (4, 4), by `most` [rad] at most."""
+        now = rotation(self.x[6:10])
+        off = math.atan2(pose[1, 0], pose[0, 0]) - math.atan2(now[1, 0], now[0, 0])
+        about_z(self.x[6:10], min(max(wrap(off), -most), most))
 
     def refuse(self, x: Array) -> None:
         """What was integrated since the state `x` (16,) is impossible. The body is taken to be where it was then, at

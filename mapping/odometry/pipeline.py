@@ -57,6 +57,11 @@ TOLD = 1.0
 TYRES = 0.01
 """Slip of tyres on firm ground beside what the scans taught, as a share of the way, one standard deviation. Loose
 ground is worse."""
+CREEP = math.radians(0.02)
+"""[rad/s] by which scans may turn a robot whose wheels and gyro stand still: its tyres give way slowly, and gravity or
+somebody's hand turns it. So slow, it follows the median of the scans: people who walk past do not turn it."""
+HEADING_TOLD = math.radians(0.2)
+"""A scan whose heading has a larger standard deviation [rad] does not turn it."""
 OVER_GROUND = [0, 1, 5]
 """Position in the plane and heading, of a (6, 6) covariance."""
 
@@ -216,6 +221,8 @@ class LidarInertialOdometry:
                 moved, turned = np.linalg.norm(apart[:3, 3]), np.linalg.norm(rotation_vector(apart[:3, :3]))
                 self._filter.misplaced(3.0 * float(moved), 3.0 * float(turned))
             self._filter.update_pose(match.pose, measured)
+            if verdict.held and verdict.insert and verdict.covariance[5, 5] < HEADING_TOLD**2:
+                self._filter.creep(match.pose, CREEP * (sweep.end - since) / NS)
         self._seen = match.pose if verdict.use and not verdict.insert and verdict.held else None
         self._slip_unseen(verdict)
         self._misfits = 0 if verdict.use else self._misfits + 1

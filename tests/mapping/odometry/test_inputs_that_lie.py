@@ -319,6 +319,37 @@ def test_a_gyro_that_drifts_does_not_turn_a_robot_that_stands(
     assert np.linalg.norm((out.scans[-1].position - out.scans[0].position)[:2]) < 0.01
 
 
+@pytest.mark.parametrize(
+    ("turned", "follows"),
+    [
+        pytest.param(lambda t: 0.018 * max(t - 3.0, 0.0), True, id="tyres give way"),
+        pytest.param(lambda t: 1.2 if t % 4.0 > 2.5 else 0.0, False, id="people walk past"),
+    ],
+)
+def test_scans_turn_a_robot_that_stands_as_slowly_as_tyres_give_way(
+    recorded: tuple[SyntheticRun, list[Sample]], turned: Callable[[float], float], follows: bool
+) -> None:
+    """Wheels and gyro stand still, what the LiDAR sees turns by `turned(t)` [deg], `t` [s] after the start."""
+    run, _ = recorded
+    still = replace(run, motion=Motion(kind="standstill"), duration=18.0, lidar=LIDARS["xt16"].decimated(24))
+    samples: list[Sample] = []
+    for s in still.samples():
+        if isinstance(s, LidarScan):
+            angle = np.radians(turned((s.stamp - still.start_stamp) / NS))
+            points = s.points.copy()
+            points["x"] = np.cos(angle) * s.points["x"] + np.sin(angle) * s.points["y"]
+            points["y"] = np.cos(angle) * s.points["y"] - np.sin(angle) * s.points["x"]
+            s = replace(s, points=points)
+        if not isinstance(s, GroundTruth):
+            samples.append(s)
+    out = Driven(samples)
+    yaw = [np.degrees(rotation_vector(_turn(out, 0).T @ _turn(out, k))[2]) for k in range(len(out.scans))]
+    if follows:
+        assert yaw[-1] == pytest.approx(turned(18.0), abs=0.06)
+    else:
+        assert np.abs(yaw).max() < 0.1
+
+
 def _turn(out: Driven, k: int) -> np.ndarray:
     from hal.rotation import rotation
 

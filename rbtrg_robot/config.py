@@ -253,8 +253,9 @@ class StackConfig(BaseModel):
     @model_validator(mode="after")
     def _of_the_robot(self) -> StackConfig:
         robot = self.facts
-        others = {point.name for point in entry_points(group="rbtrg.backends")}
-        if ":" not in self.backend and self.backend not in {*robot.backends, *others}:
+        # Entry points are looked for last: it reads a file of each package that is installed.
+        known = ":" in self.backend or self.backend in robot.backends
+        if not known and self.backend not in entry_points(group="rbtrg.backends").names:
             raise ValueError(
                 f"backend: {robot.title} is driven by {', '.join(robot.backends)}, not by {self.backend}"
             )

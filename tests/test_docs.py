@@ -220,20 +220,26 @@ def orders(text: str) -> list[list[str]]:
     return [re.split(r"\s+", re.sub(r"[\[\]]", " ", line).strip())[1:] for line in code]
 
 
-@pytest.mark.parametrize("file", BOOK, ids=name)
-def test_every_command_exists_with_its_options(file):
+@pytest.fixture(scope="module")
+def commands():
+    """The command line."""
     import typer
 
     from rbtrg_robot.cli.main import app
 
+    return typer.main.get_command(app)
+
+
+@pytest.mark.parametrize("file", BOOK, ids=name)
+def test_every_command_exists_with_its_options(file, commands):
     wrong = []
     for words in orders(file.read_text()):
-        command = typer.main.get_command(app)
+        command = commands
         rest = list(words)
         while hasattr(command, "commands") and rest and rest[0] in command.commands:
             command = command.commands[rest.pop(0)]
         known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help", "--version"}
         strange = [w for w in rest if w.startswith("--") and w.partition("=")[0].rstrip(",") not in known]
-        if strange or (words and words[0].islower() and command is typer.main.get_command(app)):
+        if strange or (words and words[0].islower() and command is commands):
             wrong.append(" ".join(words))
     assert not wrong

@@ -23,8 +23,9 @@ HEADING_STEP = math.pi / HEADINGS
 COS = np.array([math.cos(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
-WHEEL_RING = (0.15, 0.36)
-"""Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
+WHEEL_RING = (-0.06, 0.15)
+"""So far beyond `GraphParams.axle` from its middle the wheels of a robot that turns on the spot meet the ground
+[m]."""
 LONE_FACES = 0.01
 """[m^2] of ground with higher faces is noise of the map."""
 UNKNOWN_RUN = 0.20
@@ -118,7 +119,7 @@ def turn_is_free(headings, yaw_in, turn):
 
 
 @njit(cache=True)
-def turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed):
+def turn_ground(height, trusted, faces, x0, y0, res, x, y, axle, climbed):
     """Height [m] of the face that the wheels meet in a turn on the spot at x, y [m], and the slope [m/m] of the ground
     there.
 
@@ -128,10 +129,11 @@ def turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed):
     """
     rows, cols = height.shape
     n = max(1, round(0.5 * BASE / res))
-    reach = math.ceil(WHEEL_RING[1] / res)
+    near, far = (axle + WHEEL_RING[0]) / res, (axle + WHEEL_RING[1]) / res
+    reach = math.ceil(far)
     r_mid = cell_of(y, y0, res)
     c_mid = cell_of(x, x0, res)
-    inner, outer = (WHEEL_RING[0] / res) ** 2, (WHEEL_RING[1] / res) ** 2
+    inner, outer = near**2, far**2
     least, wall = 1000.0 * LEAST_FACE, 1000.0 * climbed
     sizes = np.empty((2 * reach + 1) ** 2, np.int64)
     rise = np.zeros((4, 2))
@@ -176,7 +178,7 @@ def turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed):
 @njit(cache=True)
 def turn_price(height, trusted, faces, x0, y0, res, x, y, prices, climbed):
     """[m/rad] of a bend and of a turn on the spot at x, y [m]."""
-    edge, slope = turn_ground(height, trusted, faces, x0, y0, res, x, y, climbed)
+    edge, slope = turn_ground(height, trusted, faces, x0, y0, res, x, y, prices.axle, climbed)
     if slope < EVEN_TAN:
         slope = 0.0
     if edge == 0.0 and slope == 0.0:

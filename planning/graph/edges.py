@@ -19,8 +19,6 @@ SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
 """Ground is averaged over this length before its slope is taken [m]: one stair tread."""
-SLOPE_BASE = 0.42
-"""Slope is taken over this length, the wheelbase [m]."""
 SLOPE_TOLERANCE = 1.05
 """Factor on the tangent of the slope limit, for map noise."""
 COLUMNS = 9
@@ -168,12 +166,12 @@ def corridor(
         return -1.0
     under = int(2.0 * front / SECTION) if stood else 0
     limit = max_tan * SLOPE_TOLERANCE
-    if not _not_steep(sums, n, limit, 4.0 * strip, under):
+    if not _not_steep(sums, n, limit, 2.0 * prices.axle, 4.0 * strip, under):
         if not prices.measured or not _risers(
             height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, prices.tread, sums
         ):
             return -1.0
-        if not _not_steep(sums, n, limit, 4.0 * strip, under):
+        if not _not_steep(sums, n, limit, 2.0 * prices.axle, 4.0 * strip, under):
             return -1.0
     return PLANTS_RISK * plants / area
 
@@ -219,10 +217,10 @@ def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, trea
 
 
 @njit(cache=True)
-def _not_steep(sums, n, limit, track, under):
-    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips. What
-    lies within the first `under` sections is not judged."""
-    ahead = round(SLOPE_BASE / SECTION)
+def _not_steep(sums, n, limit, wheelbase, track, under):
+    """Pitch over the `wheelbase` and roll over `track`, the distance of the two wheel strips [m], of the swept profile
+    stay under `limit`. What lies within the first `under` sections is not judged."""
+    ahead = round(wheelbase / SECTION)
     reach = round(0.5 * SMOOTH / SECTION)
     for i in range(max(1, n - ahead)):
         j = i + ahead

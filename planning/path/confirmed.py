@@ -17,22 +17,19 @@ from planning.graph.params import GraphParams
 from planning.path.types import Path
 from planning.search.guarded import drives_over, known_around
 
-LEAD = (0.15, 0.30)
-"""Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off
-it."""
+LEAD = (-0.06, 0.09)
+"""Between these distances beyond their axle [m] the wheels that lead touch the ground."""
 SPACING = 0.04
 LEAST, TURN = 0.06, 1.0
 """A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to
 both sides."""
-AHEAD, ROUND = 0.45, 0.25
-"""[m] from the robot to what it cannot see, and around that."""
+AHEAD, ROUND = 0.10, 0.25
+"""[m] from the front of the body to what it cannot see, and around that."""
 BACK = 0.12
 """[m] A path backward ends where less is left to what nobody saw: the guard creeps before it and holds."""
 UNSEEN = 0.2
 """[m/s] where a part of the ground under the leading wheels was not seen, or of that under the body is under leaves: a
 post in grass is felt by the body first."""
-CREEP = 0.35
-"""[m] that a robot creeps until it asks again, half of its length."""
 TURN_SPACING = 0.05
 """[rad] between places that are looked at."""
 DRIFT = 0.07
@@ -40,9 +37,9 @@ DRIFT = 0.07
 beside a pit that nobody saw, and fell."""
 BENDS = 0.3
 """[rad] A robot whose heading is off by less begins with a bend: the tracker turns from 0.35 on."""
-STAND = (0.25, 0.05)
-"""[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under
-its nose does not."""
+STAND = (0.04, 0.05)
+"""[m] beyond the axle and beside the body that count as seen at the start: its wheels stand there. What lies under its
+nose does not."""
 
 
 def confirmed(
@@ -101,7 +98,8 @@ def _hidden_share(
     path: Path, sign: NDArray[np.float64], graph: TraversalGraph, width: float
 ) -> NDArray[np.float64]:
     """(n,) how much of the ground under the leading wheels is virtual; what the robot stands on at the begin is not."""
-    along = np.arange(LEAD[0], LEAD[1] + 1e-9, SPACING)
+    axle = graph.params.axle
+    along = np.arange(axle + LEAD[0], axle + LEAD[1] + 1e-9, SPACING)
     across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
@@ -125,7 +123,9 @@ def _hidden(
     virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
     c, s = math.cos(yaw), math.sin(yaw)
     dx, dy = x - path.points[0, 0], y - path.points[0, 1]
-    under = (np.abs(c * dx + s * dy) <= STAND[0]) & (np.abs(c * dy - s * dx) <= width / 2 + STAND[1])
+    under = (np.abs(c * dx + s * dy) <= graph.params.axle + STAND[0]) & (
+        np.abs(c * dy - s * dx) <= width / 2 + STAND[1]
+    )
     return at_places(virtual, x, y, cells.origin, cells.res) & ~under
 
 
@@ -157,12 +157,12 @@ def drivable(
 
 
 def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> Path | None:
-    """The first `CREEP` of a path that is driven forward at `creep` [m/s], whether its ground was seen or not; None
-    where hardly any is left of what so slow a robot passes, and where it would turn its wheels onto ground that nobody
-    saw: only wheels that roll feel edges."""
+    """The first half of a body length of a path that is driven forward at `creep` [m/s], whether its ground was seen or
+    not; None where hardly any is left of what so slow a robot passes, and where it would turn its wheels onto ground
+    that nobody saw: only wheels that roll feel edges."""
     if graph.cells is None or len(path.points) < 2:
         return None
-    end = (_sign(path) < 0.0) | (path.least > creep) | (path.s > CREEP)
+    end = (_sign(path) < 0.0) | (path.least > creep) | (path.s > 0.5 * graph.params.length)
     if _turns_onto_hidden(path, graph, width):
         return None
     last = int(np.argmax(end)) - 1 if end.any() else len(end) - 1
@@ -185,9 +185,9 @@ def _turns_onto_hidden(path: Path, graph: TraversalGraph, width: float) -> bool:
     return bool(_hidden(path, float(path.yaw[0]) - turn, x, y, graph, width).any())
 
 
-def ahead_of(path: Path) -> tuple[float, float, float]:
-    """x, y, radius [m] of a disc on the way ahead of a robot at its begin, for others to keep off."""
-    k = min(int(np.searchsorted(path.s, AHEAD)), len(path.points) - 1)
+def ahead_of(path: Path, length: float) -> tuple[float, float, float]:
+    """x, y, radius [m] of a disc on the way ahead of a robot so long [m] at its begin, for others to keep off."""
+    k = min(int(np.searchsorted(path.s, 0.5 * length + AHEAD)), len(path.points) - 1)
     return float(path.points[k, 0]), float(path.points[k, 1]), ROUND
 
 

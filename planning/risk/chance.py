@@ -99,7 +99,7 @@ class _Way:
     def worst_of_turn(self, k: int, by: float) -> str:
         """What makes a turn dear, and where."""
         x, y = self._xy[k].tolist()
-        face, slope = turn_ground(*self._turned, x, y, self._climbed)
+        face, slope = turn_ground(*self._turned, x, y, self._table.axle, self._climbed)
         bend, spin = self._table.turn[:, size_at(face), 0].tolist()
         level = turn_cost(bend, spin, by, 0.0)
         on = (

@@ -15,8 +15,8 @@ from planning.graph.describe import HEADING_STEP, HEADINGS
 from planning.graph.params import GraphParams
 from planning.search.turn_clearance import wheels_turn
 
-TURN_REACH = 0.6
-"""[m] around a turn: what the corners of the body sweep, and a gap beside it."""
+TURN_REACH = 0.2
+"""[m] beyond the corners of a body that turns: what it may drift, and a gap beside it."""
 TURN_SPARE = 0.05
 """[m] by which the body may miss the place of a turn, or drift while it turns: up to 0.1 m was seen on level ground."""
 
@@ -39,7 +39,10 @@ def guarded_turn(
     0.14 rad of a turn are left (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
     robot = drives_over(params)
-    around, pose = known_around(grid, xy, TURN_REACH), (*xy, yaw)
+    around, pose = (
+        known_around(grid, xy, 0.5 * math.hypot(params.length, params.width) + TURN_REACH),
+        (*xy, yaw),
+    )
     return min(
         free_turn(around, pose, turn, robot, spare), wheels_turn(around, pose, turn, Body.of(robot), params)
     )

@@ -45,7 +45,7 @@ WAYS = 4
 """Tried, where they begin with ground that cannot be seen."""
 LEFT = 1.5
 """[m] from where it crept last, all over ground that was seen, a robot stands at no edge that nobody saw: a creep is
-0.35 m long."""
+half a body long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ class WaySearch:
             if backs_up(whole):
                 self._forward = True
                 continue
-            self._hidden.append(ahead_of(whole))
+            self._hidden.append(ahead_of(whole, self._body.length))
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
             "every way leads over ground that the robot cannot see from where it stands: drive it by hand, "

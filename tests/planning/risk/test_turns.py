@@ -27,6 +27,7 @@ from tests.hal.safety.ground import BODY as RECTANGLE
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
 
 BODY = BodyModel()
+AXLE = GraphParams().axle
 SHRINK = 0.03
 """Half a heading step of 5 deg moves a corner 0.018 m, and a face lies up to half a cell from where its cells are [m].
 """
@@ -96,7 +97,7 @@ def edges_of(grid: ElevationGrid, graph: TraversalGraph) -> tuple[np.ndarray, np
     """(n,) highest edge under the wheels [m] and slope [m/m] at each node."""
     assert graph.cells is not None
     ground = grid.height, grid.trusted, graph.cells.faces, *grid.origin, grid.resolution
-    told = [turn_ground(*ground, x, y, graph.params.climbed) for x, y, _ in graph.nodes.tolist()]
+    told = [turn_ground(*ground, x, y, AXLE, graph.params.climbed) for x, y, _ in graph.nodes.tolist()]
     return np.array(told).T[0], np.array(told).T[1]
 
 
@@ -137,19 +138,30 @@ def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -
             assert edge > LEAST_FACE or slope > math.tan(math.radians(12))
 
 
-def turned_on(height: np.ndarray, res: float, x: float, y: float, climbed: float) -> tuple[float, float]:
+def turned_on(
+    height: np.ndarray, res: float, x: float, y: float, climbed: float, axle: float = AXLE
+) -> tuple[float, float]:
     """`turn_ground` of seen ground whose cell [0, 0] is at 0, 0."""
     seen, faces = np.ones(height.shape, bool), np.zeros((*height.shape, 2), np.int16)
     update_faces(faces, height, seen, res, 0, 0, *height.shape)
-    found: tuple[float, float] = turn_ground(height, seen, faces, 0.0, 0.0, res, x, y, climbed)
+    found: tuple[float, float] = turn_ground(height, seen, faces, 0.0, 0.0, res, x, y, axle, climbed)
     return found
+
+
+def test_the_wheels_of_a_short_robot_do_not_meet_what_a_long_one_turns_over() -> None:
+    _, x = np.mgrid[0:40, 0:40]
+    kerb = np.where((x - 20) * 0.04 > 0.34, 0.1, 0.0).astype(np.float32)
+    long, _ = turned_on(kerb, 0.04, 0.8, 0.8, 0.15)
+    short, _ = turned_on(kerb, 0.04, 0.8, 0.8, 0.15, axle=0.131)
+    assert long == pytest.approx(0.1)
+    assert short == 0.0
 
 
 def test_what_a_turn_meets_is_the_highest_face_of_its_ring_and_the_mean_slope_of_four_quarters() -> None:
     rng, res, climbed, n = np.random.default_rng(4), 0.04, 0.15, 2
     y, x = np.mgrid[0:40, 0:40]
     d = np.hypot(y - 20, x - 20) * res
-    ring = (d >= WHEEL_RING[0]) & (d <= WHEEL_RING[1])
+    ring = (d >= AXLE + WHEEL_RING[0]) & (d <= AXLE + WHEEL_RING[1])
     some = 0
     for _ in range(20):
         a, b = rng.uniform(0.02, 0.3), rng.uniform(-np.pi, np.pi)

@@ -97,10 +97,11 @@ class Serving:
     def turn(self, bus: Bus) -> None:
         """Hand on what came, repeat what is due."""
         for received in bus.take(TURN):
-            if received.topic in self.desk.HEARS:
-                self.desk.take(received)
+            # What is so before the order that it answers: who reads that the stop is confirmed sees it.
             if received.topic in HEARD:
                 self.feed.take(received)
+            if received.topic in self.desk.HEARS:
+                self.desk.take(received)
         self.desk.tick()
         self.feed.tick(time.monotonic())
 

@@ -37,8 +37,8 @@ ALONG = math.radians(20.0)
 """The robot stands along a move that leads so little aside [rad]."""
 DEAR_BEND = 5.0
 """[m/rad] A robot that can bend its way at this price only drives straight on, if there is a way."""
-AHEAD = (0.35, 0.7, -0.35, -0.7)
-"""[m] Places ahead and behind of a start that can hardly turn; they become nodes as well."""
+AHEAD = (0.5, 1.0, -0.5, -1.0)
+"""[body lengths] Places ahead and behind of a start that can hardly turn; they become nodes as well."""
 ASIDE = (-12.0, -6.0, 0.0, 6.0, 12.0)
 """[deg] from its heading."""
 NEAREST = 8
@@ -200,7 +200,8 @@ class Ground:
         for way in AHEAD:
             for aside in ASIDE:
                 at = yaw + math.radians(aside)
-                place = (xy[0] + way * math.cos(at), xy[1] + way * math.sin(at))
+                far = way * self.graph.params.length
+                place = (xy[0] + far * math.cos(at), xy[1] + far * math.sin(at))
                 move = self.move(xy, place)
                 if move is not None:
                     spot = self.spot(place)

@@ -99,7 +99,8 @@ class NavigatorStage:
         self._inputs = Inputs()
         self._query = PlanQuery(params.replan_period)
         self._plan: msg.Plan | None = None
-        self._route = RouteWatch()
+        self._radius = 0.5 * math.hypot(length, width)
+        self._route = RouteWatch(self._radius)
         self._short = 0
         self._behaviours = self._afresh()
         self._order = PathOrder(step_vx)
@@ -204,7 +205,7 @@ class NavigatorStage:
             return
         if self._missing_since:
             return  # asked before the inputs went: a new route is asked for when they are back
-        self._route = RouteWatch()
+        self._route = RouteWatch(self._radius)
         if self._arrived(goal) and not (message.ok and self._ends_nearer(goal, message)):
             return self._reach()
         goal.p_fail, goal.worst = message.p_fail, message.worst

@@ -43,8 +43,8 @@ COVERED = 0.05
 """[m] beside the body's rectangle the ground still counts as covered by it."""
 
 
-UNDER = 0.45
-"""[m] around base_link is what lies under the body or its wheels."""
+UNDER = 0.04
+"""[m] around the corners of the body is what lies under it or its wheels."""
 EDGE = 0.03
 """[m] that the ground rises over three samples of a path (6 cm): no ramp that may be driven is as steep."""
 
@@ -61,7 +61,9 @@ class RouteWatch:
     map. What is really in the way is the guard's business, which knows no routes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, radius: float) -> None:
+        """`radius`: from base_link to a corner of the body [m]."""
+        self._under = radius + UNDER
         self._why = ""
         self._since = 0
 
@@ -77,12 +79,11 @@ class RouteWatch:
         patient = now - self._since <= OVER_EDGE * NS
         return "" if patient and self.over_edge(plan, pose) else self._why
 
-    @staticmethod
-    def over_edge(plan: Plan | None, pose: Pose2 | None) -> bool:
+    def over_edge(self, plan: Plan | None, pose: Pose2 | None) -> bool:
         """Whether a Plan leads over an edge that lies under the robot."""
         if plan is None or pose is None:
             return False
-        under = np.hypot(plan.x - pose[0], plan.y - pose[1]) < UNDER
+        under = np.hypot(plan.x - pose[0], plan.y - pose[1]) < self._under
         return bool((np.abs(plan.z[3:] - plan.z[:-3]) > EDGE)[under[3:] & under[:-3]].any())
 
 

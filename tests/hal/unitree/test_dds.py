@@ -84,14 +84,14 @@ def backend(domain: int, peer: PeerProcess) -> Iterator[UnitreeBackend]:
 
 def test_drives_the_peer_and_reads_its_sensors(backend: UnitreeBackend, peer: PeerProcess):
     until(backend, Phase.READY)
-    x = peer.last["x"]
+    x, began = peer.last["x"], time.time_ns()
     samples = run(backend, 2.0, vx=0.5)
     assert backend.state().phase is Phase.MOVING
     assert peer.last["x"] > x + 0.5
     imu = np.array([s.stamp for s in samples if isinstance(s, ImuSample)])
     assert len(imu) > 300
     assert (np.diff(imu) > 0).all()
-    assert abs(imu[-1] - time.time_ns()) < NS
+    assert began < imu[-1] < time.time_ns() + NS
     scans = [s for s in samples if isinstance(s, LidarScan)]
     assert len(scans) >= 14
     assert len(scans[-1].points) > 1500

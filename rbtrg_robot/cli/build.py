@@ -90,12 +90,15 @@ def map_close(
     drift: Annotated[
         float, typer.Option(help="How many times more than usual the odometry of this run drifts.")
     ] = 1.0,
+    wait: Annotated[
+        float, typer.Option(min=0.0, help="How long the robot has to stand without a goal then [s].")
+    ] = 600.0,
     robot: Robot = ROBOT,
 ) -> None:
     """Close the loops of the map while the stack runs.
 
-    On the robot's computer; the robot stands without a goal. Its log so far becomes a map as by `build`, and the robot
-    goes on with it.
+    On the robot's computer; the robot may drive. Its log so far becomes a map as by `build`. The robot goes on with it
+    once it stands without a goal.
     """
     from rbtrg_robot.cli.close import close
     from rbtrg_robot.cli.link import connect
@@ -108,7 +111,15 @@ def map_close(
     run = Path(folder)
     with _progress() as progress, connect(robot) as bus:
         result = close(
-            bus, run, out or run / "closed.npz", least, time.sleep, drift=drift, progress=progress, say=_note
+            bus,
+            run,
+            out or run / "closed.npz",
+            least,
+            time.sleep,
+            drift=drift,
+            wait=wait,
+            progress=progress,
+            say=_note,
         )
     say(result.words)
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
-from hal.rotation import wrap
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -18,9 +18,11 @@ from rbtrg_robot.wire.messages import stamp_of
 
 STANDS_FOR = 2 * NS
 LIMIT = 10.0
-"""[s] until it is given up."""
-SAME = (0.05, math.radians(1.0))
-"""[m, rad] within which a robot that was still is where it was."""
+"""[s] until it is given up, by default."""
+KEPT = 1000
+"""Messages of odometry: 20 s and more."""
+APART = NS // 50
+"""[ns] between two stamps of the same scan, at most."""
 
 
 class Still(Order):
@@ -28,12 +30,14 @@ class Still(Order):
 
     hears = (t.ODOM, t.GOAL_STATUS, t.MAP_STATUS, t.AREAS)
 
-    def __init__(self) -> None:
-        super().__init__(math.inf, LIMIT)
-        self.since = 0
+    def __init__(self, limit: float = LIMIT) -> None:
+        """`limit` [s]: how long it is waited for."""
+        super().__init__(math.inf, limit)
+        self._since = 0
         """Stamp of the robot from which on it stood [ns]."""
         self.place: Planar = (math.nan, math.nan, math.nan)
         """Of base_link in `odom`."""
+        self._told: deque[msg.Odometry] = deque(maxlen=KEPT)
         self.prior = ""
         """Hash of the file of the map that the stack began with."""
         self.areas: list[msg.GroundArea] = []
@@ -55,9 +59,10 @@ class Still(Order):
         elif t.ODOM.carried(message, topic):
             here, now = message.pose.pose, stamp_of(message)
             self.place = here.position.x, here.position.y, yaw_of(here.orientation)
-            if not stands(message) or not self.since:
-                self.since = now
-            if self._map and not self._goal and now - self.since >= STANDS_FOR:
+            self._told.append(message)
+            if not stands(message) or not self._since:
+                self._since = now
+            if self._map and not self._goal and now - self._since >= STANDS_FOR:
                 self.outcome = Outcome(True, "")
 
     def silence(self) -> Outcome:
@@ -67,7 +72,12 @@ class Still(Order):
         why = f"it is on its way to goal {self._goal}" if self._goal else "it moves"
         return Outcome(False, f"the robot must stand: {why}; wait, or end the goal with `rbtrg-robot cancel`")
 
-    def left(self, before: Still) -> bool:
-        """Whether it is somewhere else than it was `before`."""
-        (x, y, yaw), (x0, y0, yaw0) = self.place, before.place
-        return math.dist((x, y), (x0, y0)) > SAME[0] or abs(wrap(yaw - yaw0)) > SAME[1]
+    @property
+    def heard(self) -> float:
+        """For how long the odometry was heard, by its stamps [s]; 0 while nobody told of the map."""
+        return (stamp_of(self._told[-1]) - stamp_of(self._told[0])) / NS if self._map and self._told else 0.0
+
+    def odometry(self, stamp: int) -> msg.Odometry | None:
+        """What it told of the scan at `stamp` [ns]; None where that was not heard."""
+        nearest = min(self._told, key=lambda told: abs(stamp_of(told) - stamp), default=None)
+        return None if nearest is None or abs(stamp_of(nearest) - stamp) > APART else nearest

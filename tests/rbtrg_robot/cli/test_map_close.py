@@ -38,7 +38,7 @@ class Stack:
         self.place, self.prior, self.goal, self.epoch = place, "", "", 1
         self.areas: list[msg.GroundArea] = []
         self.frame = transform_msg(0, MAP, ODOM, (start[0], start[1], 0.0), rpy_quaternion((0, 0, start[3])))
-        self._bus, self._stamp, self._over = bus, stamp - 3 * NS, threading.Event()
+        self._bus, self.stamp, self._over = bus, stamp - 3 * NS, threading.Event()
         bus.subscribe([t.MAP_PRIOR, t.INITIAL_POSE])
         for topic in (t.ODOM, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC, t.AREAS):
             bus.advertise(topic)
@@ -60,18 +60,18 @@ class Stack:
 
     def _odom(self) -> msg.Odometry:
         turned = np.array([0.0, 0.0, math.sin(self.place[3] / 2), math.cos(self.place[3] / 2)])
-        return odometry_msg(self._stamp, self.place[:3], turned, np.zeros(3), np.zeros(3))
+        return odometry_msg(self.stamp, self.place[:3], turned, np.zeros(3), np.zeros(3))
 
     def _run(self) -> None:
         while not self._over.is_set():
-            self._stamp += NS // 5
-            self._bus.publish(t.ODOM, self._odom(), self._stamp)
-            status = msg.MapStatus(header=header(self._stamp, MAP), epoch=self.epoch, prior=self.prior)
-            self._bus.publish(t.MAP_STATUS, status, self._stamp)
-            self._bus.publish(t.AREAS, msg.Areas(areas=[msg.GroundArea()]), self._stamp)
+            self.stamp += NS // 5
+            self._bus.publish(t.ODOM, self._odom(), self.stamp)
+            status = msg.MapStatus(header=header(self.stamp, MAP), epoch=self.epoch, prior=self.prior)
+            self._bus.publish(t.MAP_STATUS, status, self.stamp)
+            self._bus.publish(t.AREAS, msg.Areas(areas=[msg.GroundArea()]), self.stamp)
             state = "moving" if self.goal else "reached"
-            self._bus.publish(t.GOAL_STATUS, msg.GoalStatus(id=self.goal, state=state), self._stamp)
-            self._bus.publish(t.TF_STATIC, msg.TFMessage(transforms=[self.frame]), self._stamp)
+            self._bus.publish(t.GOAL_STATUS, msg.GoalStatus(id=self.goal, state=state), self.stamp)
+            self._bus.publish(t.TF_STATIC, msg.TFMessage(transforms=[self.frame]), self.stamp)
             for received in self._bus.take(0.02):
                 message = received.decode()
                 if received.topic is t.MAP_PRIOR:
@@ -112,8 +112,9 @@ def flushed(run: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize("drives", [False, True])
 def test_the_robot_goes_on_with_a_map_whose_loops_are_closed(
-    run: Path, stack: tuple[Stack, Bus], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Path, stack: tuple[Stack, Bus], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drives: bool
 ) -> None:
     played, bus = stack
     pose = np.eye(4)
@@ -121,25 +122,30 @@ def test_the_robot_goes_on_with_a_map_whose_loops_are_closed(
     pose[:3, 3] = 2.3, -3.2, 0.4
 
     def built(runs: list[Path], out: Path, *, areas: list[msg.GroundArea], **_: object) -> map_close.Built:
+        stamp = played.stamp - NS  # of the end of the log
         assert runs == [run]
         assert len(areas) == 1, "what was drawn stays"
         elevation = ElevationMap()
         wheels = np.array([[0.2, -0.2, 0.0], [0.2, 0.2, 0.0], [-0.2, -0.2, 0.0], [-0.2, 0.2, 0.0]])
         elevation.fuse_ground(wheels, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1)
         elevation.save(out)
-        return map_close.Built(record={"closed": [{}, {}], "moved_m": 0.4}, stamp=10**12, pose=pose)
+        was = played.place
+        if drives:  # on, by a metre and a bit, while the map is made
+            played.place = was + np.array([math.cos(was[3]), math.sin(was[3]), 0.0, 0.2])
+        return map_close.Built(record={"closed": [{}, {}], "moved_m": 0.4}, stamp=stamp, pose=pose)
 
     monkeypatch.setattr(map_close, "build", built)
     out = tmp_path / "closed.npz"
     result = close(bus, run, out, 0.1, lambda _: flushed(run))
     assert result.loaded
+    place = (2.3 + math.cos(1.1), -3.2 + math.sin(1.1), 1.3) if drives else (2.3, -3.2, 1.1)
     assert result.words.startswith(
-        "2 loops closed, the map moved by up to 0.40 m; the robot stands at x 2.30 y -3.20"
+        f"2 loops closed, the map moved by up to 0.40 m; the robot stands at x {place[0]:.2f} y {place[1]:.2f}"
     )
     assert (played.epoch, played.prior) == (2, fingerprint(str(out)))
     x, y, yaw = played.in_map()
-    assert (x, y) == pytest.approx((2.3, -3.2), abs=0.01)
-    assert abs(wrap(yaw - 1.1)) < 0.01
+    assert (x, y) == pytest.approx(place[:2], abs=0.01)
+    assert abs(wrap(yaw - place[2])) < 0.01
     again = close(bus, run, out, 0.1, lambda _: flushed(run))
     assert again.loaded, "the map that it made itself is no prior map of somebody"
 
@@ -153,13 +159,21 @@ def test_a_robot_that_cannot_stand_still_or_has_a_prior_map_keeps_its_map(
         close(bus, run, tmp_path / "closed.npz", 0.1, lambda _: flushed(run))
     played.prior = ""
 
-    def moves(*_a: object, **_k: object) -> map_close.Built:
-        played.place = played.place + np.array([0.3, 0.0, 0.0, 0.0])
-        return map_close.Built(record={"closed": [{}], "moved_m": 1.0}, stamp=10**19)
+    def busy(*_a: object, **_k: object) -> map_close.Built:
+        played.goal = "g1"
+        return map_close.Built(record={"closed": [{}], "moved_m": 1.0}, stamp=played.stamp - NS)
 
-    monkeypatch.setattr(map_close, "build", moves)
+    monkeypatch.setattr(map_close, "build", busy)
     monkeypatch.setattr(map_close, "read", lambda *_: msg.MapPrior())
-    with pytest.raises(CloseError, match="the robot moved"):
+    with pytest.raises(CloseError, match=r"is made, but the stack goes on .* on its way to goal g1"):
+        close(bus, run, tmp_path / "closed.npz", 0.1, lambda _: flushed(run), wait=1.0)
+    played.goal = ""
+
+    def old(*_a: object, **_k: object) -> map_close.Built:
+        return map_close.Built(record={"closed": [{}], "moved_m": 1.0}, stamp=played.stamp - 600 * NS)
+
+    monkeypatch.setattr(map_close, "build", old)
+    with pytest.raises(CloseError, match="ends before the odometry was heard"):
         close(bus, run, tmp_path / "closed.npz", 0.1, lambda _: flushed(run))
 
     def small(*_a: object, **_k: object) -> map_close.Built:

@@ -2,7 +2,8 @@
 
 A wheel that rises or falls over a face makes a quarter of a crossing: a kerb under all wheels is one crossing, one
 under the left wheels is half of one. A crossing belongs to the move in whose part of the wheel's track its middle lies,
-so moves that follow each other in a line count it once.
+so moves that follow each other in a line count it once. Backward a face counts from where the tyre touches it: robots
+back up a little to turn, and one that turned with its wheels against a kerb climbed it and fell.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.kernels import inlined
 from hal.raster import cell_of
 from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import BASE, FIELD, HOLE, UNSEEN, VIRTUAL
@@ -24,6 +26,8 @@ BEYOND = 0.50
 tread beyond it."""
 SHORTEST = 0.06
 """A wheel meets no more than one face, and no more than one gap, each so many [m]."""
+TYRE = 0.09
+"""From its axle a tyre touches a face that is higher than its radius [m]."""
 EVEN_TAN = math.tan(math.radians(5.0))
 """Slopes below [m/m] are noise of the map."""
 NO_SIGN, UP, DOWN = 0, 1, 2
@@ -61,8 +65,8 @@ def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, g
 
     Into `crossed` (k, 4): place along the track [m], height of the face [m] (negative: down), angle between way and
     normal [rad], depth of the tread [m] (0: no stairs); into `gaps` (k, 2): place along the track and width [m]. Both
-    have `room_for` rows and hold what has its middle in the move. Returns how many there are of each, the share of the
-    track in a stepfield, and the height of its highest post [m].
+    have `room_for` rows and hold what has its middle in the move, faces also those within `TYRE` of it. Returns how
+    many there are of each, the share of the track in a stepfield, and the height of its highest post [m].
     """
     rows, cols = height.shape
     step = 0.5 * res
@@ -114,8 +118,8 @@ def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, g
 
 @njit(cache=True)
 def _in_move(crossed, found, step, n):
-    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move; how
-    many."""
+    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move, or as near
+    to it as `TYRE`; how many."""
     for k in range(found):
         tread, beside = 0.0, 0  # a face is told to a cell or two: the mean of the treads on both sides
         for other in (k - 1, k + 1):
@@ -126,12 +130,19 @@ def _in_move(crossed, found, step, n):
         crossed[k, 3] = tread / beside * math.cos(crossed[k, 2]) if beside else 0.0
     kept = 0
     for k in range(found):
-        if 0 <= crossed[k, 0] < n:
+        if -TYRE < crossed[k, 0] * step < n * step + TYRE:
             for part in range(crossed.shape[1]):  # a row at once compiles for 2 s
                 crossed[kept, part] = crossed[k, part]
             crossed[kept, 0] *= step
             kept += 1
     return kept
+
+
+@inlined
+def is_met(at, d, way, backward):
+    """Whether a wheel meets a face at `at` [m] on its track of `d` [m], which it goes there (0) or back (1)."""
+    near = TYRE if backward else 0.0
+    return 0.0 <= at < d + near if way == 0 else -near <= at < d
 
 
 @njit(cache=True)
@@ -167,11 +178,14 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
             for way in range(2):  # there and back
                 down = (size < 0.0) != (way == 1)
                 up_or_down = 1 if down else 0
-                if tread > 0.0:
+                if not is_met(crossed[k, 0], d, way, False):
+                    pass
+                elif tread > 0.0:
                     out[way, 0] += prices.stairs[up_or_down, i, tread_at(tread), j]
                 else:
                     out[way, 0] += prices.face[up_or_down, 0, i, j]
-                out[way, 1] += prices.face[up_or_down, 1, i, j]
+                if is_met(crossed[k, 0], d, way, True):
+                    out[way, 1] += prices.face[up_or_down, 1, i, j]
         for k in range(holes):
             out += prices.gap[size_at(gaps[k, 1])]
         share += 0.25 * field

@@ -210,7 +210,7 @@ def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, trea
         xw, yw = xa - front * ux - aside * uy, ya - front * uy + aside * ux
         found = wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, span, crossed, gaps)[0]
         for k in range(found):
-            if crossed[k, 3] > 0.0:
+            if crossed[k, 3] > 0.0 and 0.0 <= crossed[k, 0] < span:
                 sums[int(crossed[k, 0] / SECTION), 8] += 0.5 * crossed[k, 1]
                 some = True
     return some

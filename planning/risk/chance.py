@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.describe import turn_ground, turn_price
-from planning.graph.edge_price import crossed_by, edge_price, room_for, slopes
+from planning.graph.edge_price import crossed_by, edge_price, is_met, room_for, slopes
 from planning.graph.graph import TraversalGraph
 from planning.graph.prices import hazards_of, size_at
 from planning.risk.turns import turn_cost
@@ -127,6 +127,8 @@ class _Way:
                 *self._ground, table, wheel, xa, ya, ux, uy, d, crossed, gaps
             )
             for at, size, angle, tread in crossed[:faces].tolist():
+                if not is_met(at, d, 0, bool(back)):
+                    continue
                 stairs = tread > 0.0 and not back
                 told = f"{'up' if size > 0.0 else 'down'} {'stairs of' if stairs else 'a'} {abs(size):.2f} m"
                 told += "" if stairs else " face" + " backward" * back

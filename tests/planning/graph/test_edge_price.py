@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, edge_price
+from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, TYRE, edge_price
 from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.params import GraphParams
@@ -57,8 +57,20 @@ def test_a_kerb_costs_one_crossing_at_its_angle_in_however_many_moves(degrees: i
     assert (whole[1] <= high[1]).all(), "down on the way back"
     x = np.linspace(1.3, 3.7, 7)
     parts = sum(price(z, (a, 2.0), (b, 2.0)) for a, b in pairwise(x))
-    np.testing.assert_allclose(parts, whole, rtol=0.35, atol=0.02)
+    np.testing.assert_allclose(parts[:, 0], whole[:, 0], rtol=0.35, atol=0.02)
+    assert (parts[:, 1] >= 0.65 * whole[:, 1] - 0.02).all(), "backward none is left out"
     np.testing.assert_allclose(price(z, (3.7, 2.0), (1.3, 2.0)), whole[::-1], rtol=0.35, atol=0.02)
+
+
+def test_a_robot_that_backs_up_to_a_kerb_has_met_it_before_its_wheels_stand_under_it() -> None:
+    """One that came down a kerb backed up against it by 0.12 m to turn, climbed it with one wheel, and fell."""
+    z = kerb(0, 0.19)[:, ::-1].copy()  # up towards -x, where it backs up to
+    edge = 4.95 - 2.5
+    for gap, met in ((0.04, True), (0.2, False)):
+        here = edge + AXLE + gap
+        back = price(z, (here, 2.0), (here + 0.12, 2.0))[1]
+        assert bool(back[1] > 5.0) is met, "backward, from there to here"
+        assert back[0] < 1.0, "forward nothing is met"
 
 
 def test_a_kerb_under_the_left_wheels_is_half_of_one() -> None:
@@ -81,7 +93,7 @@ def test_faces_that_follow_each_other_are_stairs(tread: float) -> None:
     assert whole[0, 0] > 2.0 * 20.0 * PRICES.face[0, 0, size_at(0.15), 0], "harder than so many single faces"
     x = np.linspace(0.7, 4.3, 8)
     parts = sum(price(steps, (a, 2.0), (b, 2.0)) for a, b in pairwise(x))
-    np.testing.assert_allclose(parts, whole, rtol=0.3, atol=0.02)
+    np.testing.assert_allclose(parts[:, 0], whole[:, 0], rtol=0.3, atol=0.02)
 
 
 def test_what_nobody_saw_is_not_told_and_low_faces_are_noise() -> None:
@@ -154,8 +166,6 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
             angle = np.arccos(min(abs(normal @ u) / np.hypot(*normal), 1.0))
             crossed.append((m, sign[i], size_at(size), angle))
         for m, way, size, angle in crossed:
-            if not within[m]:
-                continue
             both = PRICES.face[:, :, size, angle_at(angle)].copy()
             at = [other for other, *_ in crossed].index(m)
             near = [crossed[o] for o in (at - 1, at + 1) if 0 <= o < len(crossed)]
@@ -164,7 +174,10 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
             if treads:
                 tread = np.mean(treads) * np.cos(angle)
                 both[:, 0] = PRICES.stairs[:, size, tread_at(tread), angle_at(angle)]
-            out += both if way > 0 else both[::-1]
+            both = both if way > 0 else both[::-1]
+            place = k[m] * step
+            out[:, 0] += np.where(within[m], both[:, 0], 0.0)
+            out[:, 1] += np.where((0.0 <= place < d + TYRE, -TYRE <= place < d), both[:, 1], 0.0)
         for i, j in runs((flag & HOLE > 0).astype(float)):
             if within[j - (j - i) // 2]:
                 out += PRICES.gap[size_at((j - i) * step)]

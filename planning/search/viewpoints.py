@@ -52,8 +52,6 @@ class Survey:
     """The place that is driven to now."""
     barred: Array | None = None
     """(n, 2) places given up."""
-    greedy: bool = False
-    """The nearest place first, kept until it is seen, as plain explorers do; for comparison."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +112,7 @@ def viewpoints(graph: TraversalGraph, grid: ElevationGrid, survey: Survey, sigma
     home = math.nan if survey.home is None else float(way[_nearest(nodes, survey.home)])
     to_home = np.where(np.isfinite(back[chosen]), back[chosen], 0.0)
     kept = _same(nodes[chosen, :2], survey.target)
-    if survey.greedy:
-        order = np.argsort(way[chosen], kind="stable")
-        order = order if kept < 0 else np.r_[kept, order[order != kept]]
-    else:
-        order = _ordered(way[chosen], between, to_home, kept)
+    order = _ordered(way[chosen], between, to_home, kept)
     chosen, gain = chosen[order], gain[order]
     return Viewpoints(
         nodes[chosen, :2].copy(),

@@ -12,9 +12,9 @@ from tools.bench.explore.drawn import Walk
 from tools.bench.explore.sites import SITES, site
 
 
-@pytest.mark.parametrize("greedy", [False, pytest.param(True, marks=pytest.mark.campaign)])
-def test_a_small_site_is_seen_whole_and_the_robot_is_home(greedy: bool) -> None:
-    record = Walk(site("rooms", 0, 8.0), greedy=greedy).explore()
+@pytest.mark.parametrize("plain", [False, pytest.param(True, marks=pytest.mark.campaign)])
+def test_a_small_site_is_seen_whole_and_the_robot_is_home(plain: bool) -> None:
+    record = Walk(site("rooms", 0, 8.0), plain=plain).explore()
     assert record["share"] > 0.97
     assert record["home"]
     assert record["left"] == 0

@@ -1,4 +1,4 @@
-"""Generated sites explored by the planner's order of places and by a plain nearest-first explorer on the same seeds.
+"""Generated sites explored by the planner's order of places and by a plain nearest-frontier explorer on the same seeds.
 
 `--how drawn`: the library alone, a robot without physics or noise, in seconds; `--how driven`: the whole stack in
 lockstep, in minutes a site.
@@ -42,7 +42,7 @@ def run(args: list[str]) -> Report:
                 continue
             scene = site(kind, seed, side)
             record = (
-                Walk(scene, greedy=order == "nearest").explore() if options.how == "drawn" else drive(scene)
+                Walk(scene, plain=order == "nearest").explore() if options.how == "drawn" else drive(scene)
             )
             records[key] = {"key": key, **record}
             print(f"{key} {record['share']:.3f} seen, {record['way']:.0f} m", file=sys.stderr, flush=True)

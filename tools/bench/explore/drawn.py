@@ -18,8 +18,9 @@ from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
+from planning.search.sight import Sight
 from planning.search.to_go import least_way
-from planning.search.viewpoints import Survey, viewpoints
+from planning.search.viewpoints import BARRED, LEAST, Survey, viewpoints
 
 RANGE, EYE = 4.5, 0.5
 """[m] Farthest ground that is seen, and the height of the LiDAR above the ground."""
@@ -32,6 +33,8 @@ ANEW = 4
 """Other graphs that are searched before there is no place left."""
 HERE = 0.75
 """[m] A place so near to the one that was looked from shows no more."""
+SAME_FRONTIER = 0.5
+"""[m] A frontier so near to the one driven to is that one."""
 LONGEST = 100.0
 """[m] of way for each metre of the site's side, after which it is given up."""
 SHARES = (0.5, 0.8, 0.9, 0.95, 0.97)
@@ -40,12 +43,13 @@ SHARES = (0.5, 0.8, 0.9, 0.95, 0.97)
 class Walk:
     """A robot on a site."""
 
-    def __init__(self, scene: Scene, *, greedy: bool) -> None:
+    def __init__(self, scene: Scene, *, plain: bool) -> None:
+        """`plain`: the nearest frontier first, kept until it is seen or come to, and no order of places."""
         self.truth = scene
         self.seen: NDArray[np.bool_] = np.zeros(scene.height.shape, np.bool_)
         self.place = scene.start[:2]
         self.way = 0.0
-        self._greedy = greedy
+        self._plain = plain
         self._sigma = BodyModel().weight_native
         self._shown: list[tuple[int, int, int, int]] = []
         rows, cols = scene.height.shape
@@ -96,25 +100,28 @@ class Walk:
         anew = 0
         while self.way < limit:
             grid = self.update()
-            survey = Survey(
-                self.place, None, self.truth.start[:2], target, np.array(barred).reshape(-1, 2), self._greedy
-            )
-            found = viewpoints(self.graph, grid, survey, self._sigma)
-            if looked is not None and len(found.xy) and np.hypot(*(found.xy - looked).T).min() < HERE:
+            if self._plain:
+                xy = nearest(self.graph, grid, self.place, target, barred, self._sigma)
+            else:
+                survey = Survey(
+                    self.place, None, self.truth.start[:2], target, np.array(barred).reshape(-1, 2)
+                )
+                xy = viewpoints(self.graph, grid, survey, self._sigma).xy
+            if looked is not None and len(xy) and np.hypot(*(xy - looked).T).min() < HERE:
                 barred.append(looked)
                 looked, target = None, None
                 continue
             looked = None
-            if not len(found.xy):
+            if not len(xy):
                 if (anew := anew + 1) > ANEW:
                     break
                 self.graph = TraversalGraph.build(grid, self.place, GraphParams(), anew)
                 continue
             anew = 0
-            target = (float(found.xy[0, 0]), float(found.xy[0, 1]))
+            target = (float(xy[0, 0]), float(xy[0, 1]))
             if self._drive(target, EVERY, record):
                 looked, target = target, None
-        record |= {"explored": self.way, "share": self.share, "left": len(found.xy)}
+        record |= {"explored": self.way, "share": self.share, "left": len(xy)}
         record["home"] = self._drive(self.truth.start[:2], math.inf, record)
         return record | {"way": self.way}
 
@@ -139,6 +146,36 @@ class Walk:
                     if math.isnan(record[f"at_{share}"]) and self.share >= share:
                         record[f"at_{share}"] = self.way
         return bool(len(points))
+
+
+def nearest(
+    graph: TraversalGraph,
+    grid: ElevationGrid,
+    place: tuple[float, float],
+    target: tuple[float, float] | None,
+    barred: list[tuple[float, float]],
+    sigma: float,
+) -> NDArray[np.float64]:
+    """(1, 2) the frontier [m] that is nearest by its way, or the one that is driven to while it shows anything; (0, 2)
+    where none is left."""
+    nodes = graph.nodes
+    first = np.full(len(nodes), np.inf)
+    first[int(np.hypot(*(nodes[:, :2] - place).T).argmin())] = 0.0
+    way = np.asarray(least_way(graph.indptr, graph.indices.astype(np.int64), graph.costs(sigma), first))
+    may = graph.frontier & np.isfinite(way)
+    for at in barred:
+        may &= np.hypot(*(nodes[:, :2] - at).T) > BARRED
+    left = np.flatnonzero(may)
+    if len(left):
+        shown = Sight.of(graph, grid, None).shown(np.ascontiguousarray(nodes[left]))
+        left = left[shown >= LEAST]
+    if not len(left):
+        return np.empty((0, 2))
+    if target is not None:
+        away = np.hypot(*(nodes[left, :2] - target).T)
+        if away.min() <= SAME_FRONTIER:
+            return np.asarray(nodes[left[[away.argmin()]], :2])
+    return np.asarray(nodes[left[[way[left].argmin()]], :2])
 
 
 def truth_reachable(scene: Scene) -> NDArray[np.bool_]:

@@ -34,7 +34,7 @@ export function makeDrive(link, view, about, free) {
   // --- the goal -------------------------------------------------------------------------------------------
   for (const [name, [x, y, yaw]] of Object.entries(about.goals))
     $("names").append(button(name, () => choose(x, y, yaw)));
-  const home = button("Home", () => choose(world.home.x, world.home.y, world.home.yaw));
+  const home = button("Robot's home", () => choose(world.home.x, world.home.y, world.home.yaw));
   home.hidden = true;
   $("names").append(home);
 
@@ -193,12 +193,14 @@ export function readPlan(found) {
 }
 
 // At most so much of the way [m] leads over ground that nobody saw or that is assumed.
-export const unseen = (plan) =>
+const unseen = (plan) =>
   plan.transition_length.reduce((sum, length, k) => sum + length * plan.transition_unknown[k], 0);
+export const seenWords = (plan) =>
+  unseen(plan) < 0.05 ? "all of it was seen" : `up to ${figure(unseen(plan), 1)} m of it nobody saw`;
 
 function lines_of(plan) {
   const k = plan.worst;
-  const way = `${figure(plan.length, 1)} m, about ${figure(plan.duration, 0)} s, cost ${figure(plan.cost, 1)} m, up to ${figure(unseen(plan), 1)} m of it nobody saw.`;
+  const way = `${figure(plan.length, 1)} m, about ${figure(plan.duration, 0)} s, cost ${figure(plan.cost, 1)} m, ${seenWords(plan)}.`;
   if (k < 0) return [way, plan.chance].filter(Boolean);
   const body = plan.transition_body[k];
   return [

@@ -53,6 +53,7 @@ export function table(at, titles, rows) {
   for (const empty of head.querySelectorAll("th:empty")) empty.outerHTML = "<td></td>"; // it is the head of nothing
   body.append(...rows.map((cells) => line("td", cells)));
   if (!rows.length) body.append(line("td", ["none yet"]));
+  if (!rows.length) body.rows[0].cells[0].colSpan = Math.max(1, titles.length);
   at.replaceChildren(...[at.caption, head, body].filter(Boolean));
   return rows.length ? [...body.rows] : [];
 }

@@ -1,6 +1,6 @@
 // Why this way: every transition of the plan, what the native cost would have done, and what the gate says.
 import { $, button, degrees, figure, list, put, table } from "./tell.js";
-import { grade, unseen } from "./drive.js";
+import { grade, seenWords } from "./drive.js";
 
 // Where no envelope is known, neither is this.
 const fails = (plan, k) => (plan.transition_p_fail[k] === null ? "?" : figure(100 * plan.transition_p_fail[k], 1));
@@ -24,7 +24,7 @@ export function makeWhy(link, view) {
       : "";
     put(
       "why-sum",
-      `${kind === "preview" ? "The plan that was asked for" : "The plan that is driven"}: ${figure(plan.length, 1)} m at a cost of ${figure(plan.cost, 1)} m, body risk up to ${figure(Math.max(0, ...plan.transition_body))}, up to ${figure(unseen(plan), 1)} m over ground that nobody saw.${plan.chance ? ` ${plan.chance}.` : ""}${native}`,
+      `${kind === "preview" ? "The plan that was asked for" : "The plan that is driven"}: ${figure(plan.length, 1)} m at a cost of ${figure(plan.cost, 1)} m, body risk up to ${figure(Math.max(0, ...plan.transition_body))}, ${seenWords(plan)}.${plan.chance ? ` ${plan.chance}.` : ""}${native}`,
     );
     const titles = ["#", "length m", "native", "body", "unseen %", "turn °", "cost m", "fails %"];
     rows = table(

@@ -9,22 +9,30 @@ from typing import Any
 
 import pytest
 
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.wire.messages import header
 
 STAGES = ("odometry", "elevation", "planner", "guard", "robot")
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive over the yard with its log."""
+    """A drive over the yard with its log; the planner is asked where to explore on the way."""
     path = tmp_path_factory.mktemp("drive") / "log_0.mcap"
     config = load(None, ["recorder.profile=full", "sim.lidar_step=8"], scene="yard")
     with Lockstep(config, Lockstep.open_log(config, path)) as stack:
         stack.wait_ready()
         stack.send_goal(*config.load_scene().goals["a"])
-        stack.run(6.0)
+        stack.run(5.0)
+        for target in (0.0, 3.0):
+            where = msg.ExploreQuestion(
+                header=header(stack.now, "map"), has_home=True, has_target=True, target_x=target
+            )
+            stack.host.inject(t.EXPLORE_QUESTION, where)
+            stack.run(0.5)
     return path
 
 
@@ -61,7 +69,6 @@ def _late_in_simulator() -> list[str]:
     from rbtrg_robot.hosts.robot import build
     from rbtrg_robot.hosts.sync import SyncHost
     from rbtrg_robot.stages.robot import STEP
-    from rbtrg_robot.wire.messages import header
 
     stage = build(load(None, ["recorder.profile=full", "sim.lidar_step=8"], scene="yard"))
     stage.warm_up()

@@ -71,6 +71,7 @@ class Recorder:
         self._free_due = 0.0
         self._free = math.inf
         self._closing: list[threading.Thread] = []
+        self._describing = threading.Lock()
         self.trouble = ""
         """What an operator should know, in plain words; empty when everything is recorded."""
         self.left_out = 0
@@ -198,7 +199,8 @@ class Recorder:
                 log.warning("%s", error)
                 writer.abandon()
             try:
-                describe(self._folder)
+                with self._describing:  # the last one finds all files closed
+                    describe(self._folder)
             except (LogError, OSError) as error:
                 log.warning("no %s: %s", METADATA_YAML, error)
             if tidy:

@@ -21,7 +21,7 @@ def test_plain_values_and_a_few_aliases_are_read() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[" * 2_000, "recursion"),
+        ("[" * 2_000, "recursion|node content"),
         ("seed: " + "9" * 5000, "digits"),
         ("day: 2020-99-99", "month"),
         ("a: !!bool x", "x"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,36 @@ from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.messages import encode, header
+
+
+def test_files_that_end_together_are_described_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two threads wrote one draft: the description was half of each."""
+    at_once, most, others = 0, 0, threading.Barrier(2)
+
+    def slow(folder: Path) -> None:
+        nonlocal at_once, most
+        at_once += 1
+        most = max(most, at_once)
+        try:
+            others.wait(0.3)  # for another one, which must not come
+        except threading.BrokenBarrierError:
+            others.reset()
+        at_once -= 1
+        describe(folder)
+
+    monkeypatch.setattr(log_recorder, "describe", slow)
+    now = 0.0
+    monkeypatch.setattr(log_recorder.time, "monotonic", lambda: now)
+    recorder = Recorder(tmp_path, RecorderConfig(rotate_seconds=10.0, spare_gb=0.0), {}, {}, SourceClock())
+    for k in range(3):
+        recorder.write(t.IMU, encode(msg.Imu(header=header(k + 1, "x"))), k + 1, k + 1)
+        now += 11.0
+        recorder.housekeep()
+    recorder.close()
+    assert most == 1
+    assert len(yaml.safe_load((tmp_path / NAME).read_text())["rosbag2_bagfile_information"]["files"]) == 3
 
 
 def test_others_open_the_folder_and_every_file_begins_with_what_is_latched(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
 
 def turn(supervisor: Supervisor, topic: t.Topic, payload: bytes) -> dict[str, Any]:
     supervisor._bus.put(topic, payload)  # type: ignore[attr-defined]
-    supervisor._turn(None)  # type: ignore[arg-type]
+    supervisor._turn(Mock())
     return supervisor.status()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -223,8 +224,8 @@ def test_status_shows_the_figures_of_the_backend_and_the_supervisor_publishes_th
     other = msg.DiagnosticStatus(name="rbtrg: map")
     bus: Any = supervisor._bus
     bus.put(t.DIAGNOSTICS, encode(msg.DiagnosticArray(status=[entry, other])))
-    supervisor._turn(None)  # type: ignore[arg-type]
-    supervisor._turn(None)  # type: ignore[arg-type]
+    supervisor._turn(Mock())
+    supervisor._turn(Mock())
     found = supervisor.status()
     assert found["robot"]["backend"] == {"late_responses": "3"}
     assert any("backend: late_responses 3" in str(part) for part in render(found).renderables)

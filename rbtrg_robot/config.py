@@ -356,6 +356,7 @@ class StackConfig(BaseModel):
         """
         limbs = self.facts.limbs
         wheels = {"axle": self.facts.body.axle, "tread": limbs.tread, "tread_width": limbs.tread_width}
+        wheels["radius"] = limbs.radius
         head = {"blind_radius": 0.0} if any(lidar.name == "head" for lidar in self.lidars) else {}
         params = self.graph.params(self.capabilities(), self._measured)
         return params.model_copy(update=wheels | head)

@@ -26,8 +26,6 @@ BEYOND = 0.50
 tread beyond it."""
 SHORTEST = 0.06
 """A wheel meets no more than one face, and no more than one gap, each so many [m]."""
-TYRE = 0.09
-"""From its axle a tyre touches a face that is higher than its radius [m]."""
 EVEN_TAN = math.tan(math.radians(5.0))
 """Slopes below [m/m] are noise of the map."""
 NO_SIGN, UP, DOWN = 0, 1, 2
@@ -60,13 +58,14 @@ def room_for(d):
 
 
 @njit(cache=True)
-def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps):
+def wheel_track(height, flags, faces, x0, y0, res, radius, xw, yw, ux, uy, d, crossed, gaps):
     """What a wheel crosses that goes straight from xw, yw [m] along the unit vector ux, uy for `d` [m].
 
     Into `crossed` (k, 4): place along the track [m], height of the face [m] (negative: down), angle between way and
     normal [rad], depth of the tread [m] (0: no stairs); into `gaps` (k, 2): place along the track and width [m]. Both
-    have `room_for` rows and hold what has its middle in the move, faces also those within `TYRE` of it. Returns how
-    many there are of each, the share of the track in a stepfield, and the height of its highest post [m].
+    have `room_for` rows and hold what has its middle in the move, faces also those within a wheel's `radius` [m] of
+    it. Returns how many there are of each, the share of the track in a stepfield, and the height of its highest
+    post [m].
     """
     rows, cols = height.shape
     step = 0.5 * res
@@ -113,13 +112,13 @@ def wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, g
                 gaps[holes, 0], gaps[holes, 1] = middle * step, (hole - 1) * step
                 holes += 1
             hole = 0
-    return _in_move(crossed, found, step, n), holes, in_field / n, 0.001 * highest_post
+    return _in_move(crossed, found, step, n, radius), holes, in_field / n, 0.001 * highest_post
 
 
 @njit(cache=True)
-def _in_move(crossed, found, step, n):
-    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move, or as near
-    to it as `TYRE`; how many."""
+def _in_move(crossed, found, step, n, radius):
+    """Tell the treads of these crossings, and keep those whose middle (a number of steps) lies in the move, or nearer
+    to it than `radius` [m]; how many."""
     for k in range(found):
         tread, beside = 0.0, 0  # a face is told to a cell or two: the mean of the treads on both sides
         for other in (k - 1, k + 1):
@@ -130,7 +129,7 @@ def _in_move(crossed, found, step, n):
         crossed[k, 3] = tread / beside * math.cos(crossed[k, 2]) if beside else 0.0
     kept = 0
     for k in range(found):
-        if -TYRE < crossed[k, 0] * step < n * step + TYRE:
+        if -radius < crossed[k, 0] * step < n * step + radius:
             for part in range(crossed.shape[1]):  # a row at once compiles for 2 s
                 crossed[kept, part] = crossed[k, part]
             crossed[kept, 0] *= step
@@ -139,9 +138,9 @@ def _in_move(crossed, found, step, n):
 
 
 @inlined
-def is_met(at, d, way, backward):
-    """Whether a wheel meets a face at `at` [m] on its track of `d` [m], which it goes there (0) or back (1)."""
-    near = TYRE if backward else 0.0
+def is_met(at, d, way, near):
+    """Whether a wheel meets a face at `at` [m] on its track of `d` [m], which it goes there (0) or back (1). It does
+    `near` [m] before: backward by its radius, forward by nothing."""
     return 0.0 <= at < d + near if way == 0 else -near <= at < d
 
 
@@ -153,7 +152,7 @@ def crossed_by(height, flags, faces, x0, y0, res, prices, wheel, xa, ya, ux, uy,
     aside = prices.tread if wheel % 2 == 0 else -prices.tread
     xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
     found, holes, field, post = wheel_track(
-        height, flags, faces, x0, y0, res, xw, yw, ux, uy, d, crossed, gaps
+        height, flags, faces, x0, y0, res, prices.radius, xw, yw, ux, uy, d, crossed, gaps
     )
     return xw, yw, found, holes, field, post
 
@@ -178,13 +177,12 @@ def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
             for way in range(2):  # there and back
                 down = (size < 0.0) != (way == 1)
                 up_or_down = 1 if down else 0
-                if not is_met(crossed[k, 0], d, way, False):
-                    pass
-                elif tread > 0.0:
-                    out[way, 0] += prices.stairs[up_or_down, i, tread_at(tread), j]
-                else:
-                    out[way, 0] += prices.face[up_or_down, 0, i, j]
-                if is_met(crossed[k, 0], d, way, True):
+                if is_met(crossed[k, 0], d, way, 0.0):
+                    if tread > 0.0:
+                        out[way, 0] += prices.stairs[up_or_down, i, tread_at(tread), j]
+                    else:
+                        out[way, 0] += prices.face[up_or_down, 0, i, j]
+                if is_met(crossed[k, 0], d, way, prices.radius):
                     out[way, 1] += prices.face[up_or_down, 1, i, j]
         for k in range(holes):
             out += prices.gap[size_at(gaps[k, 1])]

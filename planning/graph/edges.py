@@ -168,7 +168,7 @@ def corridor(
     limit = max_tan * SLOPE_TOLERANCE
     if not _not_steep(sums, n, limit, 2.0 * prices.axle, 4.0 * strip, under):
         if not prices.measured or not _risers(
-            height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, prices.tread, sums
+            height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, front, span, sums
         ):
             return -1.0
         if not _not_steep(sums, n, limit, 2.0 * prices.axle, 4.0 * strip, under):
@@ -201,14 +201,16 @@ def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
 
 
 @njit(cache=True)
-def _risers(height, flags, faces, x0, y0, res, xa, ya, ux, uy, front, span, tread, sums):
+def _risers(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, front, span, sums):
     """Note in each section how far [m] the risers of stairs lift the robot, by the tracks of its left and its right
     wheels; whether there are any."""
     crossed, gaps = np.empty((room_for(span), 4)), np.empty((room_for(span), 2))
     some = False
-    for aside in (tread, -tread):
+    for aside in (prices.tread, -prices.tread):
         xw, yw = xa - front * ux - aside * uy, ya - front * uy + aside * ux
-        found = wheel_track(height, flags, faces, x0, y0, res, xw, yw, ux, uy, span, crossed, gaps)[0]
+        found = wheel_track(
+            height, flags, faces, x0, y0, res, prices.radius, xw, yw, ux, uy, span, crossed, gaps
+        )[0]
         for k in range(found):
             if crossed[k, 3] > 0.0 and 0.0 <= crossed[k, 0] < span:
                 sums[int(crossed[k, 0] / SECTION), 8] += 0.5 * crossed[k, 1]

@@ -69,6 +69,7 @@ class GraphSettings(BaseModel):
         default=0.1928, gt=0.0, description="corrected: middle of the body to the middle of a wheel [m]"
     )
     tread_width: float = Field(default=0.0518, gt=0.0, description="corrected: width of a wheel [m]")
+    radius: float = Field(default=0.086, gt=0.0, description="corrected: of a wheel or foot [m]")
 
 
 class GraphParams(GraphSettings):

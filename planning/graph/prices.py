@@ -69,6 +69,8 @@ class Prices(NamedTuple):
     axle: float
     tread: float
     """Where the wheels touch the ground, before base_link and beside it [m]."""
+    radius: float
+    """From its axle a wheel touches a face that is higher than this [m]."""
 
     def of_face(self, size: float, angle: float, tread: float, back: bool) -> float:
         """[m] of one wheel that crosses a face of `size` [m], negative: down, at an angle to its normal [rad]; `tread`
@@ -78,7 +80,7 @@ class Prices(NamedTuple):
         return float(self.stairs[down, i, tread_at(tread), j] if stairs else self.face[down, int(back), i, j])
 
 
-def free(axle: float, tread: float) -> Prices:
+def free(axle: float, tread: float, radius: float) -> Prices:
     """Where nothing has a price: the paper's cost."""
     return Prices(
         False,
@@ -90,29 +92,30 @@ def free(axle: float, tread: float) -> Prices:
         np.zeros(SIZES),
         axle,
         tread,
+        radius,
     )
 
 
 def prices_of(params: GraphParams) -> Prices:
     """Prices by the stored envelope of a controller. Raises EnvelopeError."""
-    return _prices(params.controller, params.fall_cost, params.axle, params.tread)
+    return _prices(params.controller, params.fall_cost, params.axle, params.tread, params.radius)
 
 
 def hazards_of(params: GraphParams) -> Prices:
     """The same with hazards, -ln(1 - p), instead of metres. Raises EnvelopeError."""
-    return _prices(params.controller, 1.0, params.axle, params.tread)
+    return _prices(params.controller, 1.0, params.axle, params.tread, params.radius)
 
 
 @cache
-def _prices(controller: str | None, fall_cost: float, axle: float, tread: float) -> Prices:
+def _prices(controller: str | None, fall_cost: float, axle: float, tread: float, radius: float) -> Prices:
     if controller is None or fall_cost == 0.0:
-        return free(axle, tread)
+        return free(axle, tread, radius)
     envelope = stored(controller)
     share = {name: ending(name, *envelope.tables(name)) for name in envelope.manoeuvres}
     size = np.arange(SIZES) * SIZE_STEP
     angle = np.arange(ANGLES) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
-    out = free(axle, tread)._replace(measured=True)
+    out = free(axle, tread, radius)._replace(measured=True)
 
     def price(name: str, sigma: float, *values: ArrayLike) -> Array:
         if name not in envelope.manoeuvres:

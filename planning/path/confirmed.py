@@ -17,8 +17,8 @@ from planning.graph.params import GraphParams
 from planning.path.types import Path
 from planning.search.guarded import drives_over, known_around
 
-LEAD = (-0.06, 0.09)
-"""Between these distances beyond their axle [m] the wheels that lead touch the ground."""
+LEAD = -0.06
+"""From this beyond their axle [m] to their radius beyond it the wheels that lead touch the ground."""
 SPACING = 0.04
 LEAST, TURN = 0.06, 1.0
 """A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to
@@ -98,8 +98,8 @@ def _hidden_share(
     path: Path, sign: NDArray[np.float64], graph: TraversalGraph, width: float
 ) -> NDArray[np.float64]:
     """(n,) how much of the ground under the leading wheels is virtual; what the robot stands on at the begin is not."""
-    axle = graph.params.axle
-    along = np.arange(axle + LEAD[0], axle + LEAD[1] + 1e-9, SPACING)
+    p = graph.params
+    along = np.arange(p.axle + LEAD, p.axle + p.radius + 1e-9, SPACING)
     across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]

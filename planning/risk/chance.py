@@ -127,7 +127,7 @@ class _Way:
                 *self._ground, table, wheel, xa, ya, ux, uy, d, crossed, gaps
             )
             for at, size, angle, tread in crossed[:faces].tolist():
-                if not is_met(at, d, 0, bool(back)):
+                if not is_met(at, d, 0, back * table.radius):
                     continue
                 stairs = tread > 0.0 and not back
                 told = f"{'up' if size > 0.0 else 'down'} {'stairs of' if stairs else 'a'} {abs(size):.2f} m"

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, TYRE, edge_price
+from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, edge_price
 from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.params import GraphParams
@@ -177,7 +177,9 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
             both = both if way > 0 else both[::-1]
             place = k[m] * step
             out[:, 0] += np.where(within[m], both[:, 0], 0.0)
-            out[:, 1] += np.where((0.0 <= place < d + TYRE, -TYRE <= place < d), both[:, 1], 0.0)
+            out[:, 1] += np.where(
+                (0.0 <= place < d + PRICES.radius, -PRICES.radius <= place < d), both[:, 1], 0.0
+            )
         for i, j in runs((flag & HOLE > 0).astype(float)):
             if within[j - (j - i) // 2]:
                 out += PRICES.gap[size_at((j - i) * step)]

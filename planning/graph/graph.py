@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
@@ -246,6 +248,11 @@ class TraversalGraph:
         if back:
             price = price[np.lexsort((source, self.indices))]  # slot of the opposite direction of each slot
         return length * (1.0 + sigma * self.risk) + price
+
+    def ways(self, cost: NDArray[np.float64], node: int) -> NDArray[np.float64]:
+        """(n,) least sum of `cost` (nnz,) [m] over the edges from a node to each; infinite where no way leads."""
+        edges = csr_array((cost, self.indices, self.indptr), shape=(len(self.nodes), len(self.nodes)))
+        return np.asarray(dijkstra(edges, indices=node))
 
     def nearest_node(self, xy: tuple[float, float], max_distance: float = SNAP_DISTANCE) -> int | None:
         """Index of the node nearest to x, y [m] (lowest index on a tie), None if farther than `max_distance`."""

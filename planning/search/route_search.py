@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from planning.risk.body import BodyModel, weights_of
+from planning.risk.cost import cost_of
 from planning.search.bounds import Asked
 from planning.search.endpoints import Endpoints
 from planning.search.explain import Route
-from planning.search.nodes import search_nodes
 from planning.search.pairs import Guide, guide_to, search_pairs
 from planning.search.request import PlanRequest
 
@@ -58,9 +60,7 @@ class RouteSearch:
         if asked.is_end[asked.start]:
             cost, route, self.expanded = 0.0, np.empty(0, np.int64), 0
         elif self._request.variant == "native":
-            ends = asked.start, asked.is_end, asked.exit_cost
-            cost, slots, self.expanded = search_nodes(weights_of(self._body), table.arcs, *ends, *self._xy)
-            route = 2 * slots
+            cost, route, self.expanded = self._over_nodes()
         else:
             cost, route = self._over_pairs()
         if not np.isfinite(cost):
@@ -84,3 +84,19 @@ class RouteSearch:
             cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL)
         table.keep(body, tables._replace(turns=turns))
         return cost, route
+
+    def _over_nodes(self) -> tuple[float, NDArray[np.int64], int]:
+        """Cost, states and number of reached nodes of the best route over nodes: the native cost l (1 + sigma r) knows no
+        headings."""
+        asked, arcs = self._asked, self._at.table.arcs
+        cost = cost_of(weights_of(self._body), arcs.length, arcs.risk, 0.0, 0.0) + arcs.price[:, 0]
+        edges = csr_array((cost, arcs.target, arcs.indptr), shape=(len(arcs.x), len(arcs.x)))
+        way, before = dijkstra(edges, indices=asked.start, return_predecessors=True)
+        whole = np.where(asked.is_end, way + asked.exit_cost, np.inf)
+        node = int(np.argmin(whole))
+        slots: list[int] = []
+        while np.isfinite(way[node]) and node != asked.start:
+            first, last = arcs.indptr[before[node]], arcs.indptr[before[node] + 1]
+            slots.insert(0, int(first) + int(np.flatnonzero(arcs.target[first:last] == node)[0]))
+            node = int(before[node])
+        return float(whole.min()), 2 * np.array(slots, np.int64), int(np.isfinite(way).sum())

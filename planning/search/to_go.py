@@ -124,25 +124,6 @@ def _cells_of(
 
 
 @njit(cache=True)
-def least_way(indptr, indices, cost, way):
-    """Dijkstra from the finite ones of `way` (n,), which become the least over the edges' `cost` (nnz,)."""
-    heap = [(0.0, 0) for _ in range(0)]
-    for i in range(len(way)):
-        if way[i] < np.inf:
-            heapq.heappush(heap, (way[i], i))
-    while heap:
-        d, i = heapq.heappop(heap)
-        if d > way[i]:
-            continue
-        for out in range(indptr[i], indptr[i + 1]):
-            k = indices[out]
-            if d + cost[out] < way[k]:
-                way[k] = d + cost[out]
-                heapq.heappush(heap, (way[k], k))
-    return way
-
-
-@njit(cache=True)
 def _block(height, trusted, res, dx, dy, blocked):
     """Mark raster cells within `KEEP_OFF` of a face; dx, dy: cell [0, 0] of the grid seen from the raster's [m]."""
     rows, cols = height.shape

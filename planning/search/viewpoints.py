@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.search.sight import Sight
-from planning.search.to_go import least_way
 
 Array = NDArray[np.float64]
 LEAST = 0.5
@@ -86,18 +85,13 @@ def viewpoints(graph: TraversalGraph, grid: ElevationGrid, survey: Survey, sigma
     assert graph.cells is not None
     nodes = graph.nodes
     away, homeward = graph.costs(sigma), graph.costs(sigma, back=True)
-    targets = graph.indices.astype(np.int64)
 
     def ways(place: tuple[float, float], cost: Array = away) -> Array:
         """(n,) cost from the node nearest to a place to each node, or with `homeward` from each to it; infinite where
         none is near."""
         apart = np.hypot(*(nodes[:, :2] - place).T)
-        first = np.full(len(nodes), np.inf)
         near = int(apart.argmin())
-        if apart[near] > BESIDE:
-            return first
-        first[near] = apart[near]
-        return np.asarray(least_way(graph.indptr, targets, cost, first))
+        return np.full(len(nodes), np.inf) if apart[near] > BESIDE else apart[near] + graph.ways(cost, near)
 
     sight = Sight.of(graph, grid, survey.area)
     way = ways(survey.start)

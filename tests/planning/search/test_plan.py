@@ -262,7 +262,9 @@ def test_equal_routes_are_decided_the_same_way_every_time():
     graph = TraversalGraph.from_edges(
         np.array(nodes), np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), np.zeros(4)
     )
-    for variant in ("native", "edge-only", "mean-only", "full"):
+    native = PlanRequest(0, 3, variant="native")
+    assert plan(graph, grid, native, BODY).nodes == plan(graph, grid, native, BODY).nodes
+    for variant in ("edge-only", "mean-only", "full"):
         assert plan(graph, grid, PlanRequest(0, 3, variant=variant), BODY).nodes == (0, 1, 3)
 
 

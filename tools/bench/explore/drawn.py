@@ -19,7 +19,6 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.search.sight import Sight
-from planning.search.to_go import least_way
 from planning.search.viewpoints import BARRED, LEAST, Survey, viewpoints
 
 RANGE, EYE = 4.5, 0.5
@@ -159,9 +158,7 @@ def nearest(
     """(1, 2) the frontier [m] that is nearest by its way, or the one that is driven to while it shows anything; (0, 2)
     where none is left."""
     nodes = graph.nodes
-    first = np.full(len(nodes), np.inf)
-    first[int(np.hypot(*(nodes[:, :2] - place).T).argmin())] = 0.0
-    way = np.asarray(least_way(graph.indptr, graph.indices.astype(np.int64), graph.costs(sigma), first))
+    way = graph.ways(graph.costs(sigma), int(np.hypot(*(nodes[:, :2] - place).T).argmin()))
     may = graph.frontier & np.isfinite(way)
     for at in barred:
         may &= np.hypot(*(nodes[:, :2] - at).T) > BARRED
@@ -198,10 +195,8 @@ def path(
     nodes = graph.nodes
     edge = np.repeat(np.arange(len(nodes)), np.diff(graph.indptr))
     cost = graph.costs(sigma)
-    first = np.full(len(nodes), np.inf)
     begin, end = (int(np.hypot(*(nodes[:, :2] - p).T).argmin()) for p in (start, goal))
-    first[begin] = 0.0
-    way = least_way(graph.indptr, graph.indices.astype(np.int64), cost, first)
+    way = graph.ways(cost, begin)
     if not np.isfinite(way[end]):
         return []
     back: list[int] = [end]

@@ -43,7 +43,7 @@ def test_it_drives_when_the_trunk_is_level_again(looking: Lockstep) -> None:
     while looking.newest[t.ROBOT_STATE].vx == 0.0 and looking.newest[t.ROBOT_STATE].wz == 0.0:
         looking.step()
         leans.append(lean(looking))
-        assert len(leans) < 600
+        assert len(leans) < 4000, "a second look, if the first showed no way"
     assert max(leans) < math.radians(17.0)
     assert leans[-1] < LEVEL
     assert math.dist(_place(looking), place) < 0.05

@@ -86,8 +86,8 @@ class RouteSearch:
         return cost, route
 
     def _over_nodes(self) -> tuple[float, NDArray[np.int64], int]:
-        """Cost, states and number of reached nodes of the best route over nodes: the native cost l (1 + sigma r) knows no
-        headings."""
+        """Cost, states and number of reached nodes of the best route over nodes: the native cost l (1 + sigma r) knows
+        no headings."""
         asked, arcs = self._asked, self._at.table.arcs
         cost = cost_of(weights_of(self._body), arcs.length, arcs.risk, 0.0, 0.0) + arcs.price[:, 0]
         edges = csr_array((cost, arcs.target, arcs.indptr), shape=(len(arcs.x), len(arcs.x)))

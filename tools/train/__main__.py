@@ -13,6 +13,10 @@ from pathlib import Path
 # Before JAX and numpy start their threads: the physics has the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+# JAX takes three quarters of an accelerator's memory otherwise, and the physics needs some.
+os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+MANY = 4096
+"""Robots on an accelerator."""
 
 
 def main() -> None:
@@ -25,6 +29,10 @@ def main() -> None:
     run.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
     run.add_argument("--seed", type=int, default=0)
     run.add_argument("--workers", type=int, default=2, help="processes that drive the teacher")
+    run.add_argument(
+        "--accelerator", action="store_true", help="physics by MuJoCo Warp, on a CUDA device if there is one"
+    )
+    run.add_argument("--robots", type=int, help="at once; default: as before, 512, or 4096 on an accelerator")
     evaluate = commands.add_parser("evaluate", help="the envelope bench")
     evaluate.add_argument("policy", type=Path)
     evaluate.add_argument("--controller", choices=("hybrid", "policy"), default="hybrid")
@@ -49,6 +57,14 @@ def main() -> None:
         sys.exit("training needs JAX: uv run --group train python -m tools.train run ...")
     from rich.console import Console
 
+    from tools.train.physics import Robots
+
+    physics = Robots
+    if options.accelerator:
+        try:
+            from tools.train.warp import WarpRobots as physics
+        except ImportError:
+            sys.exit("--accelerator needs MuJoCo Warp: uv run --group train --group accelerator python ...")
     from tools.train.checkpoint import FILE, Checkpoint
     from tools.train.run import clone, train
     from tools.train.settings import Settings
@@ -65,7 +81,10 @@ def main() -> None:
         if options.resume
         else clone(Settings(seed=options.seed), options.workers, options.out, console)
     )
-    train(point, options.minutes, options.out, console)
+    if robots := options.robots or (MANY if options.accelerator else None):
+        ppo = point.settings.ppo.model_copy(update={"robots": robots})
+        point.settings = point.settings.model_copy(update={"ppo": ppo})
+    train(point, options.minutes, options.out, console, robots=physics)
 
 
 if __name__ == "__main__":

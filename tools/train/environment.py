@@ -101,15 +101,22 @@ def in_body(quaternion: Array, level: Array) -> Array:
     return vector + quaternion[:, :1] * turned + np.cross(axis, turned)
 
 
+def kinds(settings: Settings, n: int) -> NDArray[np.int64]:
+    """(n,) kind of ground of each of so many robots."""
+    turning = round(settings.turning * n)
+    return np.concatenate([np.full(turning, OPEN), np.resize(DEALT, n - turning)])
+
+
 class Environment:
     """`n` robots. `observe` and `step` in turn."""
 
-    def __init__(self, settings: Settings, n: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, settings: Settings, n: int, rng: np.random.Generator, robots: type[Robots] = Robots
+    ) -> None:
         self.settings, self._rng = settings, rng
-        self.robots = Robots(n, settings.physics, rng)
+        self.robots = robots(n, settings.physics, rng)
         self.layout = Layout(DESCRIPTION)
-        turning = round(settings.turning * n)
-        self.kind = np.concatenate([np.full(turning, OPEN), np.resize(DEALT, n - turning)])
+        self.kind = kinds(settings, n)
         self.back = (self.kind != OPEN) & (np.arange(n) % BACKWARD == 0)
         """(n,) who drives the lane backward."""
         self.level = rng.integers(0, settings.first_level + 1, n)
@@ -138,10 +145,14 @@ class Environment:
         self._age[:] = rng.integers(0, self._last, n)  # or all would end at once
 
     def resume(self, level: NDArray[np.int64]) -> None:
-        """Begin anew at the levels (n,) of an earlier run."""
+        """Begin anew at the levels (m,) of an earlier run; of another number of robots each draws from those of its
+        kind."""
+        n, before = len(self.kind), kinds(self.settings, len(level))
+        if len(level) != n:
+            level = np.array([self._rng.choice(level[before == kind]) for kind in self.kind])
         self.level[:] = level
-        self._begin(np.arange(len(level)))
-        self._age[:] = self._rng.integers(0, self._last, len(level))
+        self._begin(np.arange(n))
+        self._age[:] = self._rng.integers(0, self._last, n)
 
     # --- what they see ----------------------------------------------------------------------------------------------
     def body(self) -> Body:

@@ -1,5 +1,5 @@
-"""Many robots on one ground, stepped together by `mujoco.rollout`. Each has a body drawn from `Physics`: friction,
-mass, gains, delay."""
+"""Many robots on one ground, stepped together. Each has a body drawn from `Physics`: friction, mass, gains, delay.
+`mujoco.rollout` steps them on the cores; `tools.train.warp` on an accelerator."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def variant(ground: Ground, physics: Physics, rng: np.random.Generator) -> mujoc
 
 
 class Robots:
-    """`n` robots and their states. A step is one policy step."""
+    """`n` robots and their states, on the cores. A step is one policy step."""
 
     def __init__(self, n: int, physics: Physics, rng: np.random.Generator) -> None:
         self.ground = Ground.build()
@@ -73,7 +73,11 @@ class Robots:
         self._warm = np.zeros((n, 22))
         self._steps = round(PERIOD / physics.timestep)
         self._control = np.zeros((n, 16))
-        self._datas = [mujoco.MjData(first) for _ in range(THREADS)]
+        self._prepare(first)
+
+    def _prepare(self, model: mujoco.MjModel) -> None:
+        """What `_advance` needs; `model`: the first of all."""
+        self._datas = [mujoco.MjData(model) for _ in range(THREADS)]
         self._rollout = rollout.Rollout(nthread=THREADS)
 
     def place(self, which: NDArray[np.int64], x: Array, y: Array, yaw: Array, speed: Array) -> None:
@@ -116,15 +120,20 @@ class Robots:
             now = self.delay <= k
             control[now, k] = new[now]
         self._control = new
+        last, acceleration = self._advance(control)
+        broken = np.asarray(~np.isfinite(last).all(axis=1))
+        last[broken] = self.state[broken]
+        self._warm = np.nan_to_num(acceleration)
+        self._warm[broken] = 0.0
+        self.state = last
+        return broken
+
+    def _advance(self, control: Array) -> tuple[Array, Array]:
+        """The states (n, size) after time steps with `control` (n, steps, 16), and the last accelerations (n, 22)."""
         models = [self._models[k] for k in self.drawn]
         states, _ = self._rollout.rollout(
             models, self._datas, self.state, control, initial_warmstart=self._warm
         )
-        last = np.ascontiguousarray(states[:, -1])
         before = states[:, -2, QVEL] if self._steps > 1 else self.state[:, QVEL]
-        broken = ~np.isfinite(last).all(axis=1)
-        last[broken] = self.state[broken]
-        self._warm = np.nan_to_num((last[:, QVEL] - before) / self.physics.timestep)
-        self._warm[broken] = 0.0
-        self.state = last
-        return broken
+        last = np.ascontiguousarray(states[:, -1])
+        return last, (last[:, QVEL] - before) / self.physics.timestep

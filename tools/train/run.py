@@ -20,6 +20,7 @@ from tools.train.checkpoint import FILE, Checkpoint
 from tools.train.cloning import fit
 from tools.train.environment import KNOWN, Environment
 from tools.train.network import as_layers, normalised
+from tools.train.physics import Robots
 from tools.train.ppo import Experience, Learner
 from tools.train.settings import PARAMS, Settings
 from tools.train.teacher import episode, stacked
@@ -60,14 +61,19 @@ def clone(
 
 
 def train(
-    point: Checkpoint, minutes: float, out: Path, console: Console, iterations: int | None = None
+    point: Checkpoint,
+    minutes: float,
+    out: Path,
+    console: Console,
+    iterations: int | None = None,
+    robots: type[Robots] = Robots,
 ) -> None:
     """Go on from a checkpoint for so many minutes (or iterations)."""
     settings, ppo = point.settings, point.settings.ppo
     # A seed of its own after each interruption: the same draws again would teach nothing new.
     seed = settings.seed + 1_000_003 * point.iteration
     rng = np.random.default_rng(seed)
-    env = Environment(settings, ppo.robots, rng)
+    env = Environment(settings, ppo.robots, rng, robots)
     if point.level is not None:
         env.resume(point.level)
     learner = Learner(

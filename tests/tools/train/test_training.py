@@ -254,3 +254,10 @@ def test_training_knows_the_errors_of_the_attitude_that_the_robot_reads() -> Non
         imu.measure(low)
         np.testing.assert_allclose(np.array(up_of(low.quaternion)) - up_of(q), moved, atol=1e-4)
         assert 1e-4 < np.linalg.norm(moved) < 0.01
+
+
+def test_a_run_goes_on_with_another_number_of_robots(env: Environment) -> None:
+    more = Environment(env.settings, 40, np.random.default_rng(5))
+    level = np.where(env.kind == OPEN, 0, 3 + env.kind)
+    more.resume(level)
+    np.testing.assert_array_equal(more.level[more.kind != OPEN], 3 + more.kind[more.kind != OPEN])

@@ -216,7 +216,7 @@ SWEEP_LATE = Monitor(
     high=0.3,  # the guard's reaction, for which speeds are chosen
     unit="s later than the shortest way",
     against="the receive times",
-    test="hal/unitree/test_lidars.py",
+    test="hal/unitree/test_backend.py",
 )
 POINT_TIMES = Monitor(
     "point times",
@@ -472,6 +472,20 @@ SCANS_DISAGREE = Monitor(
     unit="of 0.4 m or 6 deg over a second",
     against="wheels, IMU",
     test="mapping/odometry/test_inputs_that_lie.py",
+)
+GROUND_HEIGHT = Monitor(
+    "height of the ground",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.LOST,
+    "odometry",
+    "the {name} LiDAR sees level ground {seen:.2f} m {side} itself, by the legs it lies {told:.2f} m below it: its unit or its mount is wrong, or the robot stands in a pit or on a plinth",
+    "set its driver to metres, and look whether it is mounted as the configuration says; put the robot onto level ground",
+    low=0.6,  # a robot may start on a pallet, or between kerbs; a foot, half or twice a metre is far beyond
+    high=1.6,
+    unit="of what the legs tell, until it was once within",
+    against="legs",
+    test="mapping/odometry/test_ground_height.py",
 )
 SCANS_SCALE = Monitor(
     "scans_scale",

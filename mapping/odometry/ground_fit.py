@@ -65,16 +65,10 @@ class GroundFit:
         if self.known and self._scans % EVERY:
             return
         self._uneven += 1
-        if len(contacts) < 4:
+        under = wheel_plane(contacts)
+        if under is None or under[0][2] @ up < UPRIGHT:
             return
-        normal = cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
-        normal /= math.copysign(max(float(np.linalg.norm(normal)), 1e-9), normal[2])
-        if min(normal[2], normal @ up) < UPRIGHT:
-            return
-        side = cross(normal, [1.0, 0.0, 0.0])
-        side /= np.linalg.norm(side)
-        axes = np.stack([cross(side, normal), side, normal])
-        middle = contacts.mean(axis=0)
+        axes, middle = under
         away = cloud - middle.astype(np.float32)
         near = np.flatnonzero(np.einsum("ij,ij->i", away, away) < FAR**2)  # most of a sweep lies beyond
         plane = fit_plane(cloud[near] @ axes.T - axes @ middle)
@@ -95,6 +89,20 @@ class GroundFit:
     def beside_gravity(self) -> Array:
         """(2,) roll and pitch of the ground of the LiDAR beside the horizontal."""
         return self._median[3:]
+
+
+def wheel_plane(contacts: Array) -> tuple[Array, Array] | None:
+    """Plane under four wheels, of their contacts (4, 3) in base_link: its axes (3, 3), x ahead and z its normal, and
+    the middle (3,) of the wheels. None where fewer touch, or it is steeper in base_link than one looks at."""
+    if len(contacts) < 4:
+        return None
+    normal = cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
+    normal /= math.copysign(max(float(np.linalg.norm(normal)), 1e-9), normal[2])
+    if normal[2] < UPRIGHT:
+        return None
+    side = cross(normal, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    return np.stack([cross(side, normal), side, normal]), contacts.mean(axis=0)
 
 
 def fit_plane(points: Array) -> tuple[float, float, float] | None:

@@ -2,10 +2,11 @@
 end.
 
 Of several LiDARs the main one sets the pace. A sweep of another LiDAR goes with the first main sweep that ends after
-it. If the main LiDAR is silent or repeats itself, the other sets the pace."""
+it. If the main LiDAR is silent, repeats itself or tells wrong distances, the other sets the pace."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -23,6 +24,8 @@ from hal.safety.monitors import (
     SWEEP_CLOCK,
 )
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
+from mapping.odometry.contacts import contacts_of
+from mapping.odometry.ground_height import GroundHeight
 from mapping.odometry.intake import SampleBuffer, Sweep, SweepClock, TopicClock, clean_scan
 from mapping.odometry.own import OwnFilter
 from mapping.odometry.repeats import Repeats
@@ -34,9 +37,12 @@ SWEEP_PERIOD = NS // 10
 SLACK = 10_000_000
 """Sweeps of two LiDARs that end within this time [ns] belong together."""
 SILENT = NS // 2
-"""A LiDAR that has not begun a sweep for this long [ns] is silent; so is one that repeats itself."""
+"""A LiDAR that has not begun a sweep for this long [ns] is silent; so is a dead one."""
 NEAR = 0.1
 """A LiDAR that is there for the ground in front of it may see it this near [m]."""
+ASKED = 1.0
+"""[m] of the start on which the height of the ground is asked for: then the way of the wheels tells a wrong unit, and
+the robot may come onto a plinth."""
 JOINT_PERIOD = 18_000_000
 """Joint samples that follow faster [ns] are thinned: 50 Hz are enough."""
 
@@ -77,6 +83,7 @@ class Inbox:
             "joints": Repeats(JOINTS_REPEAT),
             **{name: Repeats(LIDAR_REPEATS, name) for name in self._sweeps},
         }
+        self._heights = {name: GroundHeight(name, own.place(name)) for name in self._sweeps}
         self._clocks: dict[str, TopicClock] = {
             "imu": TopicClock("imu", 20, counters),
             "joints": TopicClock("joints", 20, counters),
@@ -84,6 +91,8 @@ class Inbox:
         }
         self._agreement = {name: SweepClock() for name in self._sweeps}
         self._imu_samples = 0
+        self._way = 0.0
+        """That the wheels rolled [m]."""
 
     def _repeats(self, topic: str, payload: NDArray) -> bool:
         dead = self._streams[topic].dead(payload)
@@ -91,10 +100,12 @@ class Inbox:
             self._counters[f"{topic}_repeated"] += 1
         return dead
 
-    def repeats(self, topic: str) -> str:
-        """That `imu`, `joints` or a LiDAR repeats itself, in words; empty where it does not."""
+    def dead(self, topic: str) -> str:
+        """Why nothing of `imu`, `joints` or a LiDAR is believed, in words; empty where it is."""
         names = ("imu", "gyro", "accelerometer") if topic == "imu" else (topic,)
-        return next((self._streams[name].words for name in names if self._streams[name].words), "")
+        words = [self._streams[name].words for name in names]
+        words += [self._heights[name].words for name in names if name in self._heights]
+        return next(filter(None, words), "")
 
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
@@ -167,9 +178,6 @@ class Inbox:
             return
         stream = self._streams[scan.name]
         dead = self._repeats(scan.name, sweep.xyz)
-        if dead and scan.name != self.pace:
-            self._ends.pop(scan.name, None)  # it is not waited for
-            return
         if stream.again and not dead:
             self._refuse(scan.name, stream.told)
             return
@@ -183,10 +191,25 @@ class Inbox:
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
             sweep = self._own.take_out(sweep, self._counters)
-            if dead:
-                sweep = replace(sweep, problem=stream.words)
+            self._look_down(sweep)
+            if told := self.dead(scan.name):
+                if scan.name != self.pace:
+                    self._ends.pop(scan.name, None)  # it is not waited for
+                    return
+                sweep = replace(sweep, problem=told)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
+
+    def rolled(self, way: float) -> None:
+        """The wheels rolled `way` [m] since the last call; NaN: nobody knows."""
+        self._way += abs(way) if math.isfinite(way) else 0.0
+
+    def _look_down(self, sweep: Sweep) -> None:
+        height = self._heights[sweep.name]
+        if height.asks and (self._way < ASKED or height.words):
+            joints = self.joints.between(sweep.end - NS // 5, sweep.end)[1]
+            contacts = contacts_of(self._params.inertial.limbs, joints)
+            height.look(self._own.in_base(sweep.name, sweep.xyz), contacts)
 
     @property
     def pace(self) -> LidarName:
@@ -197,7 +220,7 @@ class Inbox:
     def _silent(self, name: LidarName) -> bool:
         newest = self._clocks[name].newest
         since = newest if newest is not None else self._first
-        return since is None or self.now - since > SILENT or bool(self._streams[name].words)
+        return since is None or self.now - since > SILENT or bool(self.dead(name))
 
     @property
     def waiting(self) -> bool:

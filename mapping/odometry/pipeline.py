@@ -179,13 +179,11 @@ class LidarInertialOdometry:
             return None
         before, since = self._filter.pose(), self._filter.stamp
         stamps, track = self._predict(sweep.end)
-        repeats = self._inbox.repeats
+        dead = self._inbox.dead
         if sweep.name != "main":
-            silent = "" if repeats("main") else "the main LiDAR is silent, "
+            silent = "" if dead("main") else "the main LiDAR is silent, "
             self._notes.append(f"{silent}the {sweep.name} LiDAR takes its place")
-        self._notes += [
-            repeats(name) for name in self.calibration.shift if name != sweep.name and repeats(name)
-        ]
+        self._notes += [dead(name) for name in self.calibration.shift if name != sweep.name and dead(name)]
         along = self._inbox.beside(sweep)
         others = self._deskewer.beside(along, stamps, track)
         if sweep.problem or self._untrue:
@@ -340,7 +338,7 @@ class LidarInertialOdometry:
                 continue
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
-                self._notes.append(self._inbox.repeats(topic) or f"no {name} data")
+                self._notes.append(self._inbox.dead(topic) or f"no {name} data")
         stamps, track = self._advance(end)
         if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
             self._notes.append(f"no IMU data for {silence / NS:.1f} s")
@@ -360,6 +358,7 @@ class LidarInertialOdometry:
         self._rolled = (
             float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
         )
+        self._inbox.rolled(self._rolled)
         x, variance, before = state.x.copy(), np.diag(state.p)[[0, 1, 8]], state.pose()
         inside = imu[imu_stamp <= end]
         self._still = bool(touching and still(inside, x[10:13], joints, wheel))
@@ -373,7 +372,7 @@ class LidarInertialOdometry:
         speed = float(np.linalg.norm(state.x[3:6]))
         gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))
         fast = max(gained / FASTEST, abs(state.x[5]) / FALLS if touching else 0.0)
-        self._untrue = self._inbox.repeats("imu")
+        self._untrue = self._inbox.dead("imu")
         cannot_be = IMPOSSIBLE_SPEED.tell(speed=speed) if IMPOSSIBLE_SPEED.outside(fast) else ""
         if not self._untrue:
             apart = self._coasting.add(end, before, state.pose(), self._each * scale, self._turned)
@@ -418,7 +417,7 @@ class LidarInertialOdometry:
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         stamp, inbox = self._filter.stamp, self._inbox
-        untrue = self._untrue or inbox.repeats(inbox.pace)
+        untrue = self._untrue or inbox.dead(inbox.pace)
         reason = "; ".join(dict.fromkeys(filter(None, [untrue, *reasons, *self._notes])))
         self._notes.clear()
         if untrue:

@@ -62,4 +62,7 @@ def test_a_row_says_what_and_what_to_do_and_names_its_test(row: Monitor) -> None
     assert list(Formatter().parse(row.words))
     assert row.low < row.high
     assert row.unit or not (math.isfinite(row.low) or math.isfinite(row.high))
-    assert (ROOT / "tests" / row.test.split("::")[0]).is_file(), row.test
+    test = (ROOT / "tests" / row.test).read_text()
+    constant = next(name for name, value in vars(monitors).items() if value is row)
+    assert constant in test, f"{row.test} does not speak of it"
+    assert "with taken_out(" in test, f"{row.test} was not seen to fail without it"

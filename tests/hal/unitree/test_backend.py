@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hal.contract import Backend, BackendError
 from hal.lidar.config import LidarConfig, only
 from hal.rotation import rotation_rpy
+from hal.safety.monitors import MOTOR_LOST, SWEEP_LATE, taken_out
 from hal.types import (
     NS,
     POINT_QUANTUM,
@@ -442,6 +443,9 @@ def test_sweeps_that_come_late_keep_their_true_stamps_and_are_told():
     scans = [s for s in world.run(12.0) if isinstance(s, LidarScan)]
     assert world.cause == "sweeps of the main LiDAR arrive 0.6 s late"
     assert 0.65 < (world.now - scans[-1].stamp) / NS < 0.85
+    with taken_out(SWEEP_LATE.name):
+        world.run(1.0)
+        assert world.cause == "balance stand, takes velocity"
     world.late = {}
     world.run(1.5)
     assert world.cause == "balance stand, takes velocity"
@@ -839,6 +843,14 @@ def test_what_cannot_be_is_refused_and_told_with_stream_value_and_range(kind: st
     world.run(4.0)
     assert world.cause == "balance stand, takes velocity"
     assert len([s for s in world.run(1.0) if isinstance(s, ImuSample)]) == 250
+
+
+def test_without_the_monitor_nobody_reads_of_lost_messages():
+    world = ready()
+    world.faults.lost = 9999
+    with taken_out(MOTOR_LOST.name):
+        world.run(2.0)
+    assert world.cause == "balance stand, takes velocity"
 
 
 def test_an_imu_whose_signs_were_reversed_from_the_start_is_told_from_a_robot_on_its_back():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.safety.monitors import CLOCK_DRIFT, taken_out
+from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP, taken_out
 from hal.types import NS
 from hal.unitree.clock import ON_TIME, SUPPORT, RemoteClock
 
@@ -105,6 +105,16 @@ def test_a_step_of_the_clock_is_followed_named_and_never_makes_a_sample_younger(
     assert all(e is None or abs(e - 0.001) < 0.0001 for e in errors[50:])
     assert clock.steps == 1
     assert clock.step / NS == pytest.approx(step, abs=0.002)
+
+
+@pytest.mark.parametrize("without", [False, True])
+def test_stamps_that_went_back_once_are_refused(*, without: bool) -> None:
+    """One message of another clock, which no step of this one explains."""
+    clock = RemoteClock()
+    with taken_out(*([CLOCK_STEP.name] if without else [])):
+        for k in range(60):
+            younger = hear(clock, HOST + k * 100 * MS, MS, -40 * MS if k == 50 else 0, gap=95 * MS)
+            assert k != 50 or (younger is None) is not without
 
 
 def test_a_source_that_answers_is_asked_before_a_step_back_is_believed() -> None:

@@ -22,6 +22,8 @@ WORDS = ("touched something that the LiDAR does not see at (",)
 CONTROLLERS: tuple[str, str] = ("vmc", "hybrid")
 GIVEN_UP = 60.0
 """[s] for a goal 3 m away."""
+TRUNK = 0.42
+"""[m] above the ground."""
 KERB = 0.10
 """[m] As high as both controllers climb."""
 Boxes = tuple[dict[str, Any], ...]
@@ -44,9 +46,15 @@ def post(left: float) -> Boxes:
     return ({"centre": (AWAY, left, 0.5), "size": (0.05, 0.05, 1.0), "clear": True},)
 
 
-def bar(height: float) -> Boxes:
-    """Across the way; middle above the ground [m]."""
-    return ({"centre": (AWAY, 0.0, height), "size": (0.04, 2.0, 0.06), "clear": True},)
+def bar(height: float, degrees: float = 0.0) -> Boxes:
+    """Across the way, turned by `degrees` from there; middle above the ground [m]."""
+    yaw = math.radians(degrees)
+    return ({"centre": (AWAY, 0.0, height), "size": (0.04, 2.0, 0.06), "yaw": yaw, "clear": True},)
+
+
+def low_bar(degrees: float) -> Boxes:
+    """At the height of the trunk, turned from across the way."""
+    return bar(TRUNK, degrees)
 
 
 def stack_before(boxes: Boxes, controller: str, seed: int) -> Lockstep:
@@ -106,9 +114,17 @@ FAULTS = (
     Fault("contact.pane", (TOUCHED,), (0.0, 60.0, 15.0, 30.0, 45.0), _by_hand(pane), rest=1.0, says=WORDS),
     Fault("contact.pane_on_kerb", (TOUCHED,), (0.25, 0.0), _by_hand(pane_on_kerb), rest=1.0, says=WORDS),
     Fault("contact.post", (TOUCHED,), (0.0, 0.2, 0.1), _by_hand(post), rest=1.0, says=WORDS),
-    Fault("contact.bar", (TOUCHED,), (0.42, 0.13), _by_hand(bar), rest=1.0, says=WORDS),
+    Fault("contact.bar", (TOUCHED,), (TRUNK, 0.13), _by_hand(bar), rest=1.0, says=WORDS),
     Fault(
         "contact.pane_round", (TOUCHED,), (0.0, 45.0), _by_goal(pane), error=0.35, says=(*WORDS, "reached")
+    ),
+    Fault(
+        "contact.bar_round",
+        (TOUCHED,),
+        (0.0, 60.0, 30.0),
+        _by_goal(low_bar),
+        error=0.35,
+        says=(*WORDS, "reached"),
     ),
     Fault("contact.post_round", (TOUCHED,), (0.0, 0.2), _by_goal(post), error=0.35, says=(*WORDS, "reached")),
 )

@@ -11,6 +11,7 @@ import numpy as np
 
 from hal.mujoco.backend import MujocoBackend
 from hal.safety.monitors import (
+    GROUND_HEIGHT,
     IMPOSSIBLE_SPEED,
     IMU_DISAGREES,
     IMU_PART_REPEATS,
@@ -129,22 +130,54 @@ def _spinning() -> Change:
     return change
 
 
-def _other_unit(unit: float, seed: int) -> Outcome:
-    """A LiDAR whose distances are told in another unit [m], from the start, on the way to a goal."""
+def _scaled(x: float, y: float, z: float, names: tuple[str, ...] = ("main", "head")) -> Change:
+    """What LiDARs tell, in their own axes, so many times as large."""
 
     def change(samples: list[Sample]) -> list[Sample]:
         out = []
         for sample in samples:
-            if isinstance(sample, LidarScan):
+            if isinstance(sample, LidarScan) and sample.name in names:
                 points = sample.points.copy()
-                for axis in "xyz":
-                    points[axis] /= unit
+                for axis, scale in zip("xyz", (x, y, z), strict=True):
+                    points[axis] *= scale
                 sample = replace(sample, points=points)
             out.append(sample)
         return out
 
+    return change
+
+
+def _from_the_start(change: Change, seed: int) -> Lockstep:
     stack = Lockstep(load(None, ["record=false", "sim.lidar_step=8", f"seed={seed}"], scene="yard"))
     tap(stack, change)
+    return stack
+
+
+def _in_feet(unit: float, seed: int) -> Outcome:
+    """All LiDARs take `unit` [m] for a metre."""
+    return _at_rest(_scaled(1.0 / unit, 1.0 / unit, 1.0 / unit), seed)
+
+
+def _upside_down(axis: float, seed: int) -> Outcome:
+    """The main LiDAR hangs turned about its x (0) or its y axis (1), and nobody knows."""
+    x = -1.0 if axis else 1.0
+    return _at_rest(_scaled(x, -x, -1.0, ("main",)), seed)
+
+
+def _at_rest(change: Change, seed: int) -> Outcome:
+    """A robot that is started with such LiDARs is sent to a goal."""
+    stack = _from_the_start(change, seed)
+    stack.run_until(lambda: t.ODOM_HEALTH in stack.newest, 15.0, "a word of odometry")
+    with Watch(stack) as watch:
+        x, y, _ = stack.config.start_pose()
+        stack.send_goal(x + WAY, y)
+        stack.run(WATCHED)
+        return watch.outcome()
+
+
+def _other_unit(unit: float, seed: int) -> Outcome:
+    """LiDARs whose distances are told in another unit [m], from the start, on the way to a goal."""
+    stack = _from_the_start(_scaled(1.0 / unit, 1.0 / unit, 1.0 / unit), seed)
     stack.wait_ready()
     with Watch(stack) as watch:
         x, y, _ = stack.config.start_pose()
@@ -226,8 +259,16 @@ FAULTS = (
         "dead accelerometer", (IMU_PART_REPEATS,), (0.3, 0.5), _while_driving(_dead("accel")), rest=0.7, error=0.25,
         says=("the accelerometer of the IMU",),
     ),
+    Fault(
+        "LiDAR in feet", (GROUND_HEIGHT,), (0.3048, 2.0, 0.5), _in_feet, rest=0.0, error=0.05,
+        says=("its unit or its mount is wrong",),
+    ),
+    Fault(
+        "LiDAR upside down", (GROUND_HEIGHT,), (0.0, 1.0), _upside_down, error=0.05,
+        says=("m above itself, by the legs", "the head LiDAR takes its place"),
+    ),
     Fault(  # slip on steps comes to 0.23 m in a metre: less than 0.3 is not told; then three sweeps at 0.5 m/s
-        "LiDAR in another unit", (SCANS_SCALE,), (2.0, 0.5), _other_unit, error=0.45,
+        "LiDAR in another unit", (SCANS_SCALE,), (1.6, 0.68), _other_unit, error=0.45,
         says=("the LiDAR's distances are wrong",),
     ),
     Fault(

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from hal.rotation import wrap
 from hal.safety.geofence import Fence
+from hal.safety.monitors import GOAL_SPENT, PLACE_UNSURE, taken_out
 from hal.types import NS
 from planning.tracking.tracker import PathTracker
 from rbtrg_robot import msg
@@ -209,9 +210,12 @@ def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
     assert world.last(t.PATH_COMMAND).id == ""
 
 
-@pytest.mark.parametrize(("sigma", "state"), [(0.10, "reached"), (0.20, "aborted")])
+@pytest.mark.parametrize(
+    ("sigma", "without", "state"),
+    [(0.10, "", "reached"), (0.20, "", "aborted"), (0.20, PLACE_UNSURE.name, "reached")],
+)
 def test_a_goal_is_reached_only_where_the_place_is_known_as_well_as_it_asks(
-    world: World, sigma: float, state: str
+    world: World, sigma: float, without: str, state: str
 ) -> None:
     """Two standard deviations must lie within the tolerance of 0.25 m."""
     world.place_sigma = sigma
@@ -219,7 +223,8 @@ def test_a_goal_is_reached_only_where_the_place_is_known_as_well_as_it_asks(
     world.answer()
     world.pose = (2.9, 0.1, 0.0)
     world.tracker_phase = "done"
-    world.run(0.2)
+    with taken_out(*filter(None, [without])):
+        world.run(0.2)
     assert world.status.state == state
     if state == "aborted":
         assert world.status.reason == "place_unsure"
@@ -298,15 +303,26 @@ def test_a_robot_at_its_goal_looks_for_no_other_way(world: World, at: str) -> No
     assert world.status.recoveries == world.status.replans == 0
 
 
-def test_a_robot_that_shuttles_where_it_has_been_ends_the_goal_and_says_what_held_it(world: World) -> None:
+def shuttle(world: World) -> int:
+    """To and fro until the goal ends, for 60 s at most; seconds."""
     world.goal(3.0, 0.0)
     world.answer()
-    seconds = 0
-    while world.status.state == "moving" and seconds < 60:
+    for seconds in range(60):
+        if world.status.state != "moving":
+            return seconds
         for x in (0.0, 0.3, 0.6, 0.3):
             world.pose = (x, 0.0, 0.0)
             world.run(0.25)
-        seconds += 1
+    return 60
+
+
+def test_without_the_monitor_a_robot_shuttles_for_good(world: World) -> None:
+    with taken_out(GOAL_SPENT.name):
+        assert shuttle(world) == 60
+
+
+def test_a_robot_that_shuttles_where_it_has_been_ends_the_goal_and_says_what_held_it(world: World) -> None:
+    seconds = shuttle(world)
     assert (world.status.state, world.status.reason) == ("aborted", "stuck")
     assert 10 <= seconds <= 40
     assert "nowhere new" in world.status.detail

@@ -92,7 +92,7 @@ def up(
         return
     from rbtrg_robot.process.zygote import Zygote
 
-    with Zygote() as zygote:  # imports while this process does
+    with Zygote(share=True) as zygote:
         from rbtrg_robot.config import ConfigError, load
         from rbtrg_robot.log.keep import prune
         from rbtrg_robot.processes import BY_NAME

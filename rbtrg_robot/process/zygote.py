@@ -1,7 +1,7 @@
 """A process that imports what all processes need once, then forks each of them on request.
 
 Seven interpreters that each import numpy, numba and pydantic take seven times 1.2 s of CPU; a fork takes milliseconds
-and shares the memory. The forked process becomes a child of the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER
+and shares the memory. `up` shares it as well: it imports, then forks the zygote. The forked process becomes a child of the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER
 in prctl(2)), so that waiting for it and its parent-death signal work as if the supervisor had started it itself.
 
 Why not the forkserver of `multiprocessing`: its processes remain children of the forkserver (tried with Python 3.11).
@@ -25,8 +25,9 @@ import socket
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
 from hal.errors import OperatorError
 from rbtrg_robot.terminal import say
@@ -100,29 +101,29 @@ class ZygoteError(OperatorError):
 
 
 class Zygote:
-    """The supervisor's end. Make it first thing: it imports while the caller goes on."""
+    """The supervisor's end."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, share: bool = False) -> None:
+        """`share`: import here and fork, so that this process shares its memory with the others. It must not have
+        imported numpy, nor have a second thread. Otherwise a new interpreter imports while the caller goes on."""
         prctl(PR_SET_CHILD_SUBREAPER, 1)
-        self._start()
+        if share:
+            for name, value in ONE_THREAD.items():
+                os.environ.setdefault(name, value)
+            preload()
+        self._start(share=share)
 
-    def _start(self) -> None:
+    def _start(self, *, share: bool = False) -> None:
         self._socket, theirs = socket.socketpair()
         self._socket.settimeout(START_LIMIT)
         self._asked = 0.0
         with theirs:
-            self._popen = subprocess.Popen(
-                [sys.executable, "-m", "rbtrg_robot.process.zygote", str(theirs.fileno()), str(os.getpid())],
-                stdin=subprocess.DEVNULL,
-                env={**ONE_THREAD, **os.environ},
-                pass_fds=[theirs.fileno()],
-                process_group=0,  # Ctrl-C reaches the supervisor only, which ends all in order
-            )
+            self._process = _shared(theirs, self._socket) if share else _alone(theirs)
 
     @property
     def pid(self) -> int:
         """Of the process that forks."""
-        return self._popen.pid
+        return self._process.pid
 
     def fork(self, specification: dict[str, Any], log_path: Path) -> Forked:
         """Start one process (see `rbtrg_robot.process.child`), output to `log_path`. Bounded in time. Raises
@@ -155,7 +156,7 @@ class Zygote:
 
     def _answers(self) -> bool:
         """Whether it lives and says so within ANSWER_LIMIT; START_LIMIT as long as it imports. Waits for nothing."""
-        if self._popen.poll() is not None:
+        if self._process.poll() is not None:
             return False
         limit = self._socket.gettimeout() or ANSWER_LIMIT
         try:
@@ -193,7 +194,7 @@ class Zygote:
             # An ended process among `known` hides those behind it until it has been polled.
             while (
                 ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
-            ) is not None and ended.si_pid not in known:
+            ) is not None and ended.si_pid not in known | {self.pid}:
                 os.waitpid(ended.si_pid, 0)
 
     def __enter__(self) -> Zygote:
@@ -202,8 +203,32 @@ class Zygote:
     def __exit__(self, *_: object) -> None:
         """End it; what it forked lives on."""
         self._socket.close()
-        self._popen.kill()
-        self._popen.wait()
+        self._process.kill()
+        self._process.wait()
+
+
+def _alone(link: socket.socket) -> subprocess.Popen[bytes]:
+    """A zygote in an interpreter of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "rbtrg_robot.process.zygote", str(link.fileno()), str(os.getpid())],
+        stdin=subprocess.DEVNULL,
+        env={**ONE_THREAD, **os.environ},
+        pass_fds=[link.fileno()],
+        process_group=0,  # Ctrl-C reaches the supervisor only, which ends all in order
+    )
+
+
+def _shared(link: socket.socket, ours: socket.socket) -> Forked:
+    """A zygote with the imports of this process."""
+    supervisor = os.getpid()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if pid := os.fork():
+        return Forked(pid)
+    ours.close()
+    os.setpgid(0, 0)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    work(link, supervisor)
 
 
 def serve(link: socket.socket, supervisor: int) -> dict[str, Any] | None:
@@ -297,23 +322,33 @@ def preload() -> None:
     gc.freeze()
 
 
-def main() -> int:
-    """Entry: the descriptor of the link and the supervisor's pid are the arguments."""
-    link, supervisor = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    preload()
-    specification = serve(link, supervisor)
-    if specification is None:
-        return 0
-    from rbtrg_robot.process import child
+def work(link: socket.socket, supervisor: int) -> NoReturn:
+    """The life of a zygote, and of what it forks. Never returns: the stack below may be the supervisor's."""
+    code = 1
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        specification = serve(link, supervisor)
+        if specification is None:
+            os._exit(0)
+        from rbtrg_robot.process import child
 
-    code = child.run(specification)
+        code = child.run(specification)
+    except BaseException:  # noqa: BLE001  there is nobody above
+        traceback.print_exc()
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)  # all is closed: to take the compiled kernels apart costs every process half a second
 
 
+def main() -> NoReturn:
+    """Entry: the descriptor of the link and the supervisor's pid are the arguments."""
+    link, supervisor = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
+    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # it may end while this one imports
+    preload()
+    work(link, supervisor)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -342,8 +342,8 @@ def test_a_computer_without_memory_for_a_process_keeps_the_others(
 def test_a_zygote_that_finds_no_memory_is_replaced_later(monkeypatch: pytest.MonkeyPatch) -> None:
     made: Any = Zygote.__new__(Zygote)
     made._socket, theirs = socket.socketpair()
-    made._popen = subprocess.Popen(["/bin/true"])
-    made._popen.wait()
+    made._process = subprocess.Popen(["/bin/true"])
+    made._process.wait()
     with monkeypatch.context() as full:
 
         def popen(*_: Any, **__: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ from planning.graph.closing import closed
 from planning.graph.fields import SPREAD
 from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
+from planning.search.heap import ZERO, pop, push
 
 CELL = 0.2
 """Raster of the way through unknown ground [m]."""
@@ -153,13 +153,15 @@ def _flood(blocked, way, free, known, dear):
     farther than `LEAVES_WITHIN` into cells in `known`. `dear`: what a metre counts."""
     rows, cols = way.shape
     deep = np.zeros(way.shape)
-    heap = [(0.0, 0, 0) for _ in range(0)]
+    most = 9 * rows * cols
+    f, s, e, n = np.empty(most), np.empty(most, np.int64), np.empty(most, np.int8), 0
     for r in range(rows):
         for c in range(cols):
             if way[r, c] < np.inf:
-                heapq.heappush(heap, (way[r, c], r, c))
-    while heap:
-        d, r, c = heapq.heappop(heap)
+                n = push(f, s, e, n, way[r, c], r * cols + c, ZERO)
+    while n:
+        d, r, c = f[0], s[0] // cols, s[0] % cols
+        n = pop(f, s, e, n)
         if d > way[r, c]:
             continue
         for a in range(max(0, r - 1), min(rows, r + 2)):
@@ -171,5 +173,5 @@ def _flood(blocked, way, free, known, dear):
                 new = d + step * 0.5 * (dear[r, c] + dear[a, b])
                 if new < way[a, b]:
                     way[a, b], deep[a, b] = new, depth
-                    heapq.heappush(heap, (new, a, b))
+                    n = push(f, s, e, n, new, a * cols + b, ZERO)
     return way

@@ -212,21 +212,32 @@ def _tour(first, between, last, fixed):
         used[who] = True
         count += 1
     now = _length(order, first, between, last)
+    other, rest = np.empty(n, np.int64), np.empty(n, np.int64)
     better = True
     while better:
         better = False
         for a in range(low, n):
             for b in range(a, n):
-                other = order.copy()
-                other[a : b + 1] = order[a : b + 1][::-1]
+                for j in range(n):
+                    other[j] = order[a + b - j] if a <= j <= b else order[j]
                 length = _length(other, first, between, last)
                 if length < now - 1e-6:
-                    order, now, better = other, length, True
-                rest = np.concatenate((order[:a], order[b + 1 :]))
-                for at in range(low, len(rest) + 1):
-                    other = np.concatenate((rest[:at], order[a : b + 1], rest[at:]))
+                    now, better = length, True
+                    for j in range(n):
+                        order[j] = other[j]
+                many = b + 1 - a
+                for j in range(n - many):
+                    rest[j] = order[j] if j < a else order[j + many]
+                for at in range(low, n - many + 1):
+                    for j in range(n):
+                        if j < at:
+                            other[j] = rest[j]
+                        else:
+                            other[j] = order[a + j - at] if j < at + many else rest[j - many]
                     length = _length(other, first, between, last)
                     if length < now - 1e-6:
-                        order, now, better = other, length, True
+                        now, better = length, True
+                        for j in range(n):
+                            order[j] = other[j]
                         break
     return order

@@ -58,6 +58,14 @@ def stack() -> Iterator[Lockstep]:
         yield made
 
 
+@pytest.fixture(scope="module")
+def standing() -> Iterator[Lockstep]:
+    """One for the tests after which it stands as before, wherever."""
+    with Lockstep(config(sim=SPARSE)) as made:
+        made.wait_ready()
+        yield made
+
+
 def ahead(stack: Lockstep, distance: float, side: float = 0.0) -> tuple[float, float]:
     """A place in front of the robot, in `map`."""
     x, y, yaw = truth(stack)
@@ -120,26 +128,26 @@ def test_without_a_process_that_matters_the_robot_stands(stack: Lockstep) -> Non
     stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion again")
 
 
-def test_cancel_stops_the_robot(stack: Lockstep) -> None:
-    stack.send_goal(*ahead(stack, 4.0))
-    stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
-    stack.host.inject(t.GOAL_REQUEST, t.GOAL_REQUEST.kind(header=header(stack.now, "map"), action=1))
-    stack.run(1.5)
-    assert stack.newest[t.GOAL_STATUS].state == "cancelled"
-    assert speed(stack) < 0.05
+def test_cancel_stops_the_robot(standing: Lockstep) -> None:
+    standing.send_goal(*ahead(standing, 4.0))
+    standing.run_until(lambda: speed(standing) > 0.3, 10.0, "motion")
+    standing.host.inject(t.GOAL_REQUEST, t.GOAL_REQUEST.kind(header=header(standing.now, "map"), action=1))
+    standing.run(1.5)
+    assert standing.newest[t.GOAL_STATUS].state == "cancelled"
+    assert speed(standing) < 0.05
 
 
-def test_commands_that_make_no_sense_are_refused_and_counted(stack: Lockstep) -> None:
-    place = truth(stack)
+def test_commands_that_make_no_sense_are_refused_and_counted(standing: Lockstep) -> None:
+    place = truth(standing)
     for vx, frame in ((math.nan, "base_link"), (50.0, "base_link"), (0.3, "map")):
-        message = t.CMD_VEL.kind(header=header(stack.now, frame))
+        message = t.CMD_VEL.kind(header=header(standing.now, frame))
         message.twist.linear.x = vx
-        stack.host.inject(t.CMD_VEL, message)
-    stack.run(0.3)
-    state = stack.newest[t.ROBOT_STATE]
+        standing.host.inject(t.CMD_VEL, message)
+    standing.run(0.3)
+    state = standing.newest[t.ROBOT_STATE]
     refused = dict(zip(state.refused_reason, state.refused_count, strict=True))
     assert refused == {"not finite": 1, "wrong frame": 1, "over limit": 1}
-    assert math.dist(place[:2], truth(stack)[:2]) < 0.02
+    assert math.dist(place[:2], truth(standing)[:2]) < 0.02
 
 
 def test_the_fence_holds_while_the_start_in_the_map_is_unknown() -> None:
@@ -170,10 +178,10 @@ def test_the_nearest_goal_to_the_fence_that_is_accepted_is_reached() -> None:
             assert math.dist(goal, truth(stack)[:2]) < 0.25
 
 
-def test_a_goal_outside_the_area_is_rejected(stack: Lockstep) -> None:
+def test_a_goal_outside_the_area_is_rejected(standing: Lockstep) -> None:
     x0, _, _, _ = config().load_scene().extent
-    stack.send_goal(x0 - 1.0, truth(stack)[1])
-    status = stack.finish_goal(20.0)
+    standing.send_goal(x0 - 1.0, truth(standing)[1])
+    status = standing.finish_goal(20.0)
     assert (status.state, status.reason) == ("rejected", "outside_area")
 
 

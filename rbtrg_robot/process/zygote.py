@@ -1,8 +1,9 @@
 """A process that imports what all processes need once, then forks each of them on request.
 
 Seven interpreters that each import numpy, numba and pydantic take seven times 1.2 s of CPU; a fork takes milliseconds
-and shares the memory. `up` shares it as well: it imports, then forks the zygote. The forked process becomes a child of the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER
-in prctl(2)), so that waiting for it and its parent-death signal work as if the supervisor had started it itself.
+and shares the memory. `up` shares it as well: it imports, then forks the zygote. The forked process becomes a child of
+the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER in prctl(2)), so that waiting for it and its parent-death
+signal work as if the supervisor had started it itself.
 
 Why not the forkserver of `multiprocessing`: its processes remain children of the forkserver (tried with Python 3.11).
 When that is killed, each of them is reported as ended with status 255 while it goes on; when it is stopped,

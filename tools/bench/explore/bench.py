@@ -30,7 +30,10 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--largest", type=float, default=60.0, help="sites of at most this side [m]")
     parser.add_argument("--kinds", default="rooms,yard,rubble,basement")
     parser.add_argument("--out", type=Path, help="file of records: what stands in it is not done again")
+    parser.add_argument("--logs", type=Path, help="with `--how driven`: folder for the logs")
     options = parser.parse_args(args)
+    if options.logs is not None:
+        options.logs.mkdir(parents=True, exist_ok=True)
     chosen = [s for s in SITES if s[0] in options.kinds.split(",") and s[2] <= options.largest]
     if not chosen:
         parser.error("no site is of these kinds and so small")
@@ -41,9 +44,10 @@ def run(args: list[str]) -> Report:
             if key in records:
                 continue
             scene = site(kind, seed, side)
-            record = (
-                Walk(scene, plain=order == "nearest").explore() if options.how == "drawn" else drive(scene)
-            )
+            if options.how == "drawn":
+                record = Walk(scene, plain=order == "nearest").explore()
+            else:
+                record = drive(scene, logs=options.logs)
             records[key] = {"key": key, **record}
             print(f"{key} {record['share']:.3f} seen, {record['way']:.0f} m", file=sys.stderr, flush=True)
             if options.out:

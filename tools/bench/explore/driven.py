@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -58,17 +59,21 @@ class Explored:
         return self.state.phase in ("finished", "failed", "stopped", "paused")
 
 
-def drive(scene: Scene, budget: float = 0.0) -> dict[str, Any]:
+def drive(scene: Scene, budget: float = 0.0, logs: Path | None = None) -> dict[str, Any]:
     """The record: metres at each of `SHARES`, share at the end, whether it came home by the truth, fell, and the
-    stack's own words."""
+    stack's own words. `logs`: a folder for site and log of the drive, of which `rbtrg-robot log film` makes a film."""
     began = time.process_time()
     aim = truth_reachable(scene)
     budget = budget or BUDGET * aim.sum() * scene.resolution**2
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "site.npz"
+    with ExitStack() as kept:
+        folder = logs or Path(kept.enter_context(tempfile.TemporaryDirectory()))
+        file = folder / f"{scene.name}.npz"
         save_scene(scene, file)
         config = load(None, [], scene=str(file), origin=scene.start)
-        with Lockstep(config) as stack:
+        log = None
+        if logs is not None:
+            log = kept.enter_context(Lockstep.open_log(config, logs / f"{scene.name}.mcap"))
+        with Lockstep(config, log) as stack:
             stack.wait_ready()
             run = Explored(stack)
             stack.run(1.5)

@@ -242,9 +242,11 @@ def log_recover(
 def log_film(
     file: LogFile,
     out: Annotated[Path, typer.Argument(help="FILE.mp4, FILE.png (the end), or a folder for frames.")],
+    speed: Annotated[float, typer.Option(min=0.1, help="Times as fast as it was.")] = 1.0,
+    distance: Annotated[float, typer.Option(min=0.5, help="Camera from the robot [m].")] = 2.8,
 ) -> None:
     """Draw a simulated run from outside."""
-    draw(file, out)
+    draw(file, out, speed, distance)
 
 
 @log_app.command("photos")
@@ -366,13 +368,19 @@ def log_trajectory(
     )
 
 
-def draw(log: Path, out: Path) -> None:
+def draw(log: Path, out: Path, speed: float = 1.0, distance: float = 2.8) -> None:
     """The film of a log, with a bar."""
+    from hal.mujoco.view.render import View
     from rbtrg_robot.log.film import film
 
     with _bar() as bar:
         task = bar.add_task("film", total=None)
-        poses = film(log, out, lambda done, total: bar.update(task, completed=done, total=total))
+        poses = film(
+            log,
+            out,
+            lambda done, total: bar.update(task, completed=done, total=total),
+            View(speed=speed, distance=distance),
+        )
     say(f"{poses} poses -> {out}")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.mujoco.view.render import Film
+from hal.mujoco.view.render import Film, View
 from hal.types import GroundTruth
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load, of_log
@@ -17,7 +17,9 @@ from rbtrg_robot.wire.convert import LayoutError, joint_sample, xyz, xyzw
 from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
 
 
-def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = None) -> int:
+def film(
+    log: Path, out: Path, progress: Callable[[int, int], None] | None = None, view: View | None = None
+) -> int:
     """Write FILE.mp4, one FILE.png of the end, or a folder of frames. Returns the number of poses.
 
     Raises LogError, RenderError, and ConfigError when the log is not of a simulated robot or holds nothing to draw.
@@ -25,7 +27,7 @@ def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = Non
     config = load(base=of_log(first_of(log).attachments.get(CONFIG, b""))[0])
     if not config.simulated:
         raise ConfigError(f"{log} is not the log of a simulated robot: there is no scene to draw")
-    made = Film(config.load_scene(), robot=config.facts)
+    made = Film(config.load_scene(), view=view, robot=config.facts)
     for entry in read_run(log):
         with contextlib.suppress(MessageError, LayoutError):  # what was recorded broken is not drawn
             if entry.topic == t.JOINTS.name:

@@ -51,6 +51,8 @@ class View:
     """[deg]"""
     follow: float = 0.6
     """Time constant [s] with which the camera follows the robot."""
+    speed: float = 1.0
+    """How many seconds of the run pass in one of the film."""
 
 
 def egl_works() -> bool:
@@ -123,12 +125,12 @@ class Film:
     def add(self, stamp: int, position: Array, orientation: Array, joints: Array) -> None:
         """One pose: `stamp` [ns], `position` (3,) [m], `orientation` x, y, z, w, `joints` (16,) [rad], SDK order.
 
-        Poses that come faster than the frame rate are left out.
+        Poses that come faster than the film shows are left out.
         """
         if self._start is None:
             self._start = stamp
         time = (stamp - self._start) / NS
-        if time + 1e-6 < len(self._poses) / self.view.fps:
+        if time + 1e-6 < len(self._poses) * self.view.speed / self.view.fps:
             return
         x, y, z, w = orientation
         self._poses.append((time, np.concatenate([position, [w, x, y, z], joints]).astype(np.float32)))

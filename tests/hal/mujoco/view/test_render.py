@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,9 @@ def test_a_film_keeps_poses_at_its_frame_rate() -> None:
     film = Film(field(), view=SMALL)
     film.take(drive(2.0))
     assert len(film) == 21
+    fast = Film(field(), view=replace(SMALL, speed=4.0))
+    fast.take(drive(2.0))
+    assert len(fast) == 6, "four seconds of the run in one of the film"
 
 
 def test_the_robot_is_in_the_middle_and_the_obstacle_beside_it() -> None:

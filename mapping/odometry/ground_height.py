@@ -66,14 +66,13 @@ class GroundHeight:
         step = len(cloud) // THINNED | 1  # odd, so that it takes from every ring of a spinning LiDAR
         away = (cloud[::step] - self._place) @ axes.T
         shares = ground_shares(away, place)
-        self._right = any(not GROUND_HEIGHT.outside(share) for share in shares)
-        self._wrong += bool(shares) and not stands_on(place + away)
-        if self._right:
-            self.words = ""
-        elif self._wrong >= SURE:
-            side = "below" if shares[0] > 0.0 else "above"
-            seen = abs(shares[0]) * place[2]
-            self.words = GROUND_HEIGHT.tell(name=self._name, seen=seen, side=side, told=place[2])
+        if any(not GROUND_HEIGHT.outside(share) for share in shares):
+            self._right, self.words = True, ""
+        elif shares and not stands_on(place + away):
+            self._wrong += 1
+            side, seen = "below" if shares[0] > 0.0 else "above", abs(shares[0]) * place[2]
+            words = GROUND_HEIGHT.tell(name=self._name, seen=seen, side=side, told=place[2])
+            self.words = words if self._wrong >= SURE else ""
 
 
 def ground_shares(away: Array, place: Array) -> list[float]:

@@ -115,6 +115,14 @@ def test_another_unit_is_told(ground: str, unit: float) -> None:
     assert seen == pytest.approx((STAND + 0.116) / unit, rel=0.05)
 
 
+def test_a_sweep_that_shows_no_ground_changes_nothing() -> None:
+    told = stands(level, "xt16", FOOT)
+    words = told.words
+    told.look(np.ones((1, 3)), np.column_stack([WHEELS, np.full(4, -STAND)]))
+    assert words
+    assert told.words == words
+
+
 def test_a_lidar_that_hangs_upside_down_is_told() -> None:
     assert "m above itself" in stands(room(7.0), "xt16", turned=True).words
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hal.lidar.spec import LIDARS, LidarSpec
 from hal.types import Extrinsics, LidarName, MountedLidar
 
-Model = Literal["xt16", "mid360", "l1"]
+Model = Literal["xt16", "vlp16", "mid360", "l1"]
 
 
 class LidarConfig(BaseModel):

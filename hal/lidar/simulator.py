@@ -37,7 +37,7 @@ GO2W_BODY: tuple[OrientedBox, ...] = (
     *_leg(-0.193, 0.142),
     *_leg(-0.193, -0.142),
 )
-"""The robot as boxes in `base_link`, standing: rays into them are blocked, returns from them filtered."""
+"""The default robot as boxes in `base_link`, standing: rays into them are blocked."""
 
 
 class LidarTimeError(ValueError):
@@ -78,13 +78,14 @@ class LidarSimulator:
         caster: TerrainCaster,
         seed: int,
         *,
-        self_filter: Sequence[OrientedBox] = GO2W_BODY,
+        blocks: Sequence[OrientedBox] = GO2W_BODY,
         noise: bool = True,
         name: LidarName = "main",
         plants: Sequence[Clump] = (),
         parts: Sequence[OrientedBox] = (),
     ) -> None:
-        """`parts`: boxes in base_link that are mounted on the robot, and that the rays hit."""
+        """`blocks`: the robot itself as boxes in base_link, which stop rays; `parts`: boxes that are mounted on it, and
+        that the rays hit."""
         self.spec = spec
         self.name = name
         self.mount = mount
@@ -94,7 +95,7 @@ class LidarSimulator:
         self._noise = noise
         self._rotation = rotation_rpy(*mount.rpy)
         self._offset = np.asarray(mount.translation, np.float64)
-        self._body = pack_boxes(tuple(self_filter))
+        self._body = pack_boxes(tuple(blocks))
         self._boxes = pack_boxes(())
         self._plants = pack_clumps(plants)
         self._parts = pack_boxes(tuple(parts))

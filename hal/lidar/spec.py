@@ -1,7 +1,7 @@
 """The LiDARs: scan pattern, limits and noise of each.
 
 Directions are unit vectors in the `lidar` frame; times count from the start of a sweep. Datasheet values: Hesai
-XT16 manual (2000 azimuths x 16 channels at 10 Hz), Livox Mid-360 and Unitree L1 user manuals.
+XT16 manual (2000 azimuths x 16 channels at 10 Hz), Velodyne VLP-16, Livox Mid-360 and Unitree L1 user manuals.
 """
 
 from __future__ import annotations
@@ -156,6 +156,19 @@ LIDARS: dict[str, LidarSpec] = {
         min_range=0.05,
         max_range=80.0,
         range_sigma=0.01,
+        angle_sigma=radians(0.02),
+        dropout=0.002,
+    ),
+    "vlp16": LidarSpec(
+        name="vlp16",
+        kind="spinning",
+        rings=16,
+        firings=1800,
+        elevation=(radians(-15.0), radians(15.0)),
+        mount=Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, pi / 2)),
+        min_range=0.5,
+        max_range=50.0,
+        range_sigma=0.015,  # its manual: 3 cm, which is taken for two
         angle_sigma=radians(0.02),
         dropout=0.002,
     ),

@@ -207,6 +207,7 @@ class MujocoBackend:
             self._seed,
             noise=o.noise,
             name=lidar.name,
+            blocks=self.simulation.robot.blocks,
             plants=self.scene.plants,
             parts=[OrientedBox(part.centre, part.size) for part in o.parts],
         )

@@ -42,6 +42,7 @@ class Foreign:
         self.speed_limit: Array = own.speed_limit
         self.stand: Array = own.stand
         self.legs: Legs | None = own.legs
+        self.blocks = own.blocks
         self.torque_limit: Array = own.torque_limit.copy()
         model = self._read()
         self.joints = _joints(model, file)

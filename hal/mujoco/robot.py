@@ -9,6 +9,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from hal.lidar.caster import OrientedBox
 from hal.limbs import Limbs
 from hal.lowlevel import Locomotion
 from hal.postures.legs import Legs
@@ -58,6 +59,10 @@ class Simulated(Protocol):
     @property
     def legs(self) -> Legs | None:
         """None: its wheels sit on its body."""
+
+    @property
+    def blocks(self) -> tuple[OrientedBox, ...]:
+        """What stops the rays of its own LiDARs, in base_link as it stands."""
 
     def add(
         self, spec: mujoco.MjSpec, *, friction: float, payload: float, housings: bool, looks: bool

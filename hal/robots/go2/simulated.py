@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from hal.lidar.caster import OrientedBox
 from hal.limbs import LEGS, MOTORS, SX, SY
 from hal.lowlevel import Locomotion
 from hal.mujoco.robot import (
@@ -42,6 +43,9 @@ TORQUE, FASTEST = (23.7, 23.7, 45.43), (30.1, 30.1, 15.7)
 ARMATURE, DAMPING, FRICTIONLOSS = 0.01, 0.1, 0.2
 """[kg m^2], [Nm s/rad], [Nm] of each joint."""
 SEAT = (0.0, 1.36, -2.65)
+STIFF = [0.01, 1.0]
+"""Contact of a foot: time constant [s] and damping ratio. MuJoCo's own 0.02 s lets a foot of this size sink below the
+heightfield, which then holds it on all sides."""
 
 
 class Go2:
@@ -53,6 +57,13 @@ class Go2:
         self.torque_limit = np.array([*TORQUE * 4, *[0.0] * 4])
         self.speed_limit = np.array([*FASTEST * 4, *[np.inf] * 4])
         seat = np.array([*SEAT * 4, *[0.0] * 4])
+        x, y = self.limbs.hip_x, self.limbs.hip_y + self.limbs.thigh_y
+        hips = [(x, y), (x, -y), (-x, y), (-x, -y)]
+        self.blocks = (
+            OrientedBox((0.0, 0.0, 0.0), (0.40, 0.20, 0.114)),
+            OrientedBox((0.285, 0.0, 0.02), (0.11, 0.10, 0.08)),
+            *(OrientedBox((*hip, -0.15), (0.22, 0.06, 0.28)) for hip in hips),
+        )
         self.legs: Legs | None = Legs(self.limbs, self.stand, seat, tall=0.20, angles=self._angles)
 
     def _angles(self, centres: Array) -> Array:
@@ -97,7 +108,7 @@ class Go2:
         calf = self._link(thigh, f"{name}_calf", [0.0, 0.0, -limbs.thigh], [0.0, 1.0, 0.0], CALF)
         calf.ipos = [0.0055, 0.0, -0.13]
         collider(calf, type=CAPSULE, size=[0.012, 0.0, 0.0], fromto=[0, 0, -0.02, 0, 0, -0.17])
-        foot = {"size": [limbs.radius, 0.0, 0.0], "pos": [0.0, 0.0, -limbs.calf]}
+        foot = {"size": [limbs.radius, 0.0, 0.0], "pos": [0.0, 0.0, -limbs.calf], "solref": STIFF}
         on_ground(calf, f"{name}_wheel", friction, type=SPHERE, **foot)
         if looks:
             visual(hip, DARK, type=CYLINDER, size=[0.046, 0.03, 0.0], pos=[0.0, 0.07 * sy, 0.0], quat=ALONG_Y)

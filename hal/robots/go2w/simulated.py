@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from hal.lidar.simulator import GO2W_BODY
 from hal.lowlevel import Locomotion
 from hal.mujoco.robot import (
     ALONG_Y,
@@ -35,6 +36,7 @@ class Go2W:
     limbs = go2w.LIMBS
     torque_limit, speed_limit = go2w.TORQUE_LIMIT, go2w.SPEED_LIMIT
     stand, legs = go2w.STAND, LEGS
+    blocks = GO2W_BODY
 
     def add(
         self, spec: mujoco.MjSpec, *, friction: float, payload: float, housings: bool, looks: bool

@@ -7,7 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from hal.limbs import LEGS, MOTORS, SX, SY
+from hal.lidar.caster import OrientedBox
+from hal.limbs import LEGS, MOTORS, SX, SY, wheel_centres
 from hal.lowlevel import Locomotion
 from hal.mujoco.robot import (
     ALONG_Y,
@@ -28,7 +29,7 @@ from hal.robots.folders import describe
 
 from .drive import Drive  # of this folder: of the copy, in a copy
 
-CHASSIS = np.array([0.420, 0.310, 0.184])
+CHASSIS = 0.420, 0.310, 0.184
 """Full lengths [m]."""
 WHEEL_MASS = 0.477
 """[kg]"""
@@ -47,6 +48,12 @@ class Jackal:
         wheels = np.array([name.endswith("wheel") for name in MOTORS])
         self.torque_limit = np.where(wheels, TORQUE, 0.0)
         self.speed_limit = np.where(wheels, FASTEST, np.inf)
+        wheel = 2.0 * self.limbs.radius, self.limbs.tread_width, 2.0 * self.limbs.radius
+        centres = wheel_centres(self.limbs, self.stand).tolist()
+        self.blocks = (
+            OrientedBox((0.0, 0.0, 0.0), CHASSIS),
+            *(OrientedBox((x, y, z), wheel) for x, y, z in centres),
+        )
 
     def add(
         self, spec: mujoco.MjSpec, *, friction: float, payload: float, housings: bool, looks: bool
@@ -57,15 +64,15 @@ class Jackal:
         base.add_freejoint(name="base")
         base.explicitinertial = True
         base.mass = mass
-        x, y, z = CHASSIS**2 * mass / 12.0
+        x, y, z = (side * side * mass / 12.0 for side in CHASSIS)
         base.inertia = [y + z, x + z, x + y]
         base.add_site(name="imu", pos=self._robot.imu.translation)
-        collider(base, type=BOX, size=CHASSIS / 2)
+        collider(base, type=BOX, size=np.array(CHASSIS) / 2)
         if looks:
             sun(base)
-            visual(base, SHELL, type=BOX, size=CHASSIS / 2 * (1.0, 1.0, 0.7))
+            visual(base, SHELL, type=BOX, size=np.array(CHASSIS) / 2 * (1.0, 1.0, 0.7))
             visual(base, DARK, type=BOX, size=[0.215, 0.09, 0.03], pos=[0.0, 0.0, 0.07])
-            mast = self._robot.mounts["xt16"].translation
+            mast = self._robot.mounts["vlp16"].translation
             visual(base, STEEL, type=CYLINDER, size=[0.03, 0.05, 0.0], pos=[mast[0], mast[1], mast[2] - 0.08])
             visual(base, LENS, type=CYLINDER, size=[0.046, 0.034, 0.0], pos=mast)
         load(base, payload, [0.0, 0.0, 0.14])

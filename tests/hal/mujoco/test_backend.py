@@ -13,6 +13,8 @@ from pydantic import ValidationError
 from hal.contract import BackendError
 from hal.lidar.config import only
 from hal.mujoco.backend import MujocoBackend, Obstacle, Push, SimConfig
+from hal.robots import describe
+from hal.rotation import rotation_rpy
 from hal.scenes import Scene
 from hal.types import (
     NS,
@@ -521,6 +523,16 @@ def test_capabilities_tell_the_lidar_and_its_mount() -> None:
     mount = Extrinsics((0.1, 0.0, 0.2), (0.0, 0.1, 0.0))
     backend = MujocoBackend(floor(), lidars=only("mid360", mount))
     assert backend.capabilities.lidars == (MountedLidar("main", "mid360", mount),)
+
+
+def test_what_hides_rays_is_the_body_of_the_robot_that_carries_the_lidar() -> None:
+    """An L1 low in the front of a robot without a head sees the ground in front of it."""
+    mount = Extrinsics((0.20, 0.0, 0.06), (0.0, 2.8782, 0.0))
+    r = Robot(robot=describe("jackal"), controller="drive", lidars=only("l1", mount))
+    points = next(s.points for s in r.run(0.3) if isinstance(s, LidarScan))
+    seen = np.stack([points[axis] for axis in "xyz"], axis=1) @ rotation_rpy(*mount.rpy).T
+    x, y, z = (seen + mount.translation).T
+    assert np.count_nonzero((x > 0.5) & (x < 0.75) & (np.abs(y) < 0.3) & (z < 0.0)) > 60
 
 
 def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:

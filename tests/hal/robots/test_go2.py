@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.limbs import wheel_centres
+from hal.limbs import LEGS, wheel_centres
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.robots import describe
@@ -80,6 +80,25 @@ def test_on_slopes_the_trunk_goes_with_the_ground(slope: float) -> None:
     assert abs(aside) < 0.03
     _, _, turned = drive(made, 2.0, 0.0, 0.6)
     assert turned > 0.4
+
+
+def test_bars_of_two_centimetres_hold_no_foot() -> None:
+    """A foot that sank below the surface of such a bar was held on all sides."""
+    x = np.arange(-2.5, 3.0, 0.02)
+    ground = np.tile(np.where(np.abs(x % 0.5 - 0.25) < 0.05, 0.02, 0.0), (120, 1)).astype(np.float32)
+    sim = Simulation(ground, 0.02, (-2.5, -1.2), friction=1.0, payload=2.0, robot=ROBOT.model())
+    sim.reset(-1.5)
+    made = Driver(sim, ROBOT.model().controller("trot", "", sim.timestep))
+    made.settle(0.5)
+    drive(made, 0.6, 0.45, 0.0)
+    feet, lowest = [sim.model.geom(f"{leg}_wheel").id for leg in LEGS], 0.0
+    for _ in range(5):
+        ahead, _, _ = drive(made, 1.0, 0.45, 0.0)
+        assert ahead > 0.25
+        lowest = min(
+            lowest, *(z - ROBOT.limbs.radius - sim.ground(x, y) for x, y, z in sim.data.geom_xpos[feet])
+        )
+    assert lowest > -0.015
 
 
 def test_a_push_is_caught_by_a_step() -> None:

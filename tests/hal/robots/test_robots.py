@@ -144,7 +144,7 @@ def test_a_copied_folder_is_a_robot_of_its_own(tmp_path: Path) -> None:
         ({"limbs": None}, "limbs: Field required"),
         ({"wings": 2}, "wings: Extra inputs are not permitted"),
         ({"moves": ["FR_wheel", "tail"]}, "tail is no joint; there are FR_hip"),
-        ({"mounts": {}}, "mounts: say where the xt16 sits"),
+        ({"mounts": {}}, "mounts: say where the vlp16 sits"),
         ({"simulated": ""}, "simulated: name what MuJoCo builds it from"),
         (
             {"controllers": {"drive": {"what": "x", "envelope": "e", "capabilities": {"max_z": 1.0}}}},

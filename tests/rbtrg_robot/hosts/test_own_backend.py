@@ -132,7 +132,8 @@ def test_the_one_of_the_docs_delivers_what_the_stack_waits_for(module: Path) -> 
         outputs += stage.tick(now)
     stage.close()
     count = Counter(topic for topic, _ in outputs)
-    for topic in expected_topics([BY_NAME["robot"]], simulated=False, lidars=["main", "head"]):
+    lidars = [lidar.name for lidar in config.lidars]
+    for topic in expected_topics([BY_NAME["robot"]], simulated=False, lidars=lidars):
         assert count[topic] >= RATE_SHARE * topic.rate, topic
     assert t.TRUTH not in count
     states = [message for topic, message in outputs if topic is t.ROBOT_STATE]

@@ -480,6 +480,8 @@ class MapPrior(Message):
     map: list[GridMap] = field(default_factory=list)
     cloud: PointCloud2 = field(default_factory=PointCloud2)
     areas: list[GroundArea] = field(default_factory=list)
+    odom_in_map: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    until: Time = field(default_factory=Time)
 
 
 @dataclass(slots=True, eq=False)

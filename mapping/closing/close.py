@@ -4,8 +4,9 @@ beyond doubt is refused."""
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from hal.rotation import wrap
 from hal.types import Array
 from mapping.closing.fuse import corrected, fuse
 from mapping.closing.graph import PoseGraph, after, back, between
-from mapping.closing.keyframes import Keyframe, Surroundings, keyframes_of
+from mapping.closing.keyframes import Keyframe, Surroundings, keep, keyframes_of
 from mapping.closing.recording import Recording
-from mapping.closing.verify import LEAD, Match, Refusal, Verifier, pose_of, rivals
+from mapping.closing.refine import Sweep, apart, exact
+from mapping.closing.verify import BOTH, LEAD, Match, Refusal, Verifier, pose_of, rivals
 from mapping.elevation.config import ElevationConfig
 from mapping.relocalise import ENOUGH, PriorMap, locate
 
@@ -29,6 +31,12 @@ bend of those 70 m. Of lengths no loop tells: one of another size closes as well
 LOOP_SIGMA = np.array([0.04, 0.04, 0.04, math.radians(0.3)])
 """Of a registration: x, y, z [m], yaw [rad]. Its own error is 0.006 m and 0.05 deg; the map of a keyframe is bent by
 the drift within it."""
+NEXT_SIGMA = np.array([0.003, 0.003, 0.003, math.radians(0.01)])
+"""Of the way to the next keyframe, measured by two sweeps: x, y, z [m], yaw [rad]."""
+EXACT_SIGMA = np.array([0.01, 0.01, 0.02, math.radians(0.03)])
+"""Of a loop that was measured so."""
+LEVELS = 30
+"""Measured ways of a run from which its level is told."""
 NEW = 30.0
 """Driven between two keyframes of a loop, at least [m]."""
 OVERLAP = 5.0
@@ -110,20 +118,27 @@ class Closing:
         """Keyframes that were searched in the whole map."""
         self._absent: set[int] = set()
         """Keyframes of further runs that were not found where the map of another run has their place."""
+        self._rises: list[tuple[int, float]] = []
+        """How much higher two sweeps put a keyframe than the one before [m], by its number."""
+        self._sweeps: OrderedDict[int, Sweep] = OrderedDict()
         self._prior: tuple[int, PriorMap] | None = None
         self._found = {0}
         """Runs whose place is known."""
 
     def close(self, progress: Callable[[float], None] = lambda _share: None) -> Closed:
         """Twice over all keyframes: what the first time was too far off may be in reach once other loops are closed.
-        progress hears the share done."""
+        Once more to measure what is known then. progress hears the share done."""
         count = len(self.keyframes)
         for n in range(2 * count):
             number = n % count
             if not any(number == match.second for match in (*self.matches, *self._waiting)):
                 self._take(number)
-            progress((n + 1) / (2 * count))
+            progress((n + 1) / (3 * count))
         self._doubt()
+        for number in range(count):
+            self._measure(number)
+            progress((2 * count + number + 1) / (3 * count))
+        self._level()
         for match in self._waiting:
             self._refuse(match, "alone: no other loop near it says the same")
         weights = self.graph.solve(self._steady) if len(self.keyframes) else np.empty(0)
@@ -142,6 +157,53 @@ class Closing:
             self.refused,
             sorted(runs - self._found),
         )
+
+    def _measure(self, number: int) -> None:
+        """The way to a keyframe, and its loops, by sweeps that are laid onto each other."""
+        frame = self.keyframes[number]
+        before = self.keyframes[number - 1] if number else None
+        if before is not None and before.run == frame.run:
+            edge = number - 1 - frame.run
+            way = self.graph.odometry
+            said, sigma = way.relative[edge], way.sigma[edge]
+            found = exact(self._sweep(before), self._sweep(frame), said)
+            if found is not None and (apart(found, said) < SIGMAS * sigma).all():
+                self._rises.append((number, found[2]))
+                found[2] = said[2]
+                self.graph.measure(edge, found, np.where([1, 1, 0, 1], NEXT_SIGMA, sigma), loop=False)
+        for n, match in enumerate(self.matches):
+            if match.second != number:
+                continue
+            first = self.keyframes[match.first]
+            found = exact(self._sweep(first), self._sweep(frame), match.relative)
+            if found is not None and (apart(found, match.relative) < BOTH).all():
+                self.matches[n] = replace(match, relative=found)
+                self.graph.measure(n, found, EXACT_SIGMA, loop=True)
+
+    def _level(self) -> None:
+        """Heights along the way by sweeps, too. A level that is wrong makes them rise in one direction, or by the
+        metre: the way by odometry and loops tells how much."""
+        self.graph.solve(self._steady)
+        frames, way = self.keyframes, self.graph.odometry
+        for run in {frame.run for frame in frames}:
+            there = [(number, rise) for number, rise in self._rises if frames[number].run == run]
+            if len(there) < LEVELS:
+                continue
+            end, rise = np.array([n for n, _ in there]), np.array([z for _, z in there])
+            far = np.array([frames[n].place[:2] - frames[n - 1].place[:2] for n in end])
+            wrong = np.column_stack([far, [frames[n].along - frames[n - 1].along for n in end]])
+            nodes = self.graph.nodes[:, 2]
+            rise -= wrong @ np.linalg.lstsq(wrong, rise - (nodes[end] - nodes[end - 1]), rcond=None)[0]
+            for edge, z in zip((end - 1 - run).tolist(), rise.tolist(), strict=True):
+                self.graph.measure(
+                    edge, [*way.relative[edge, :2], z, way.relative[edge, 3]], NEXT_SIGMA, loop=False
+                )
+
+    def _sweep(self, frame: Keyframe) -> Sweep:
+        if frame.scan not in self._sweeps:
+            keep(self._sweeps, frame.scan, Sweep.of(self._recording, frame))
+        self._sweeps.move_to_end(frame.scan)
+        return self._sweeps[frame.scan]
 
     def _by_odometry(self) -> Array:
         out = np.empty((len(self.keyframes), 4))

@@ -125,6 +125,13 @@ class PoseGraph:
         self._factors = None
         return len(self._loops) - 1
 
+    def measure(self, edge: int, relative: ArrayLike, sigma: ArrayLike, *, loop: bool) -> None:
+        """An edge of odometry, or a loop, by its number, was measured anew: `relative` (4,), standard deviations
+        (4,)."""
+        edges = self._loops if loop else self._odometry
+        edges[edge] = (*edges[edge][:2], np.asarray(relative, np.float64), np.asarray(sigma, np.float64))
+        self._factors = None
+
     def drop(self, loops: set[int]) -> None:
         """Take loops out; those that stay keep their order."""
         self._loops = [loop for n, loop in enumerate(self._loops) if n not in loops]

@@ -68,14 +68,14 @@ class Surroundings:
         """What was seen around a keyframe, in the frame of the ground under it, x ahead. None where no ground was
         seen."""
         if keyframe.scan not in self._maps:
-            _keep(self._maps, keyframe.scan, self._build(keyframe))
+            keep(self._maps, keyframe.scan, self._build(keyframe))
         self._maps.move_to_end(keyframe.scan)
         return self._maps[keyframe.scan]
 
     def submap(self, keyframe: Keyframe) -> Submap:
         """What was seen from a keyframe and a little before and after it, in the same frame."""
         if keyframe.scan not in self._submaps:
-            _keep(self._submaps, keyframe.scan, self._look(keyframe))
+            keep(self._submaps, keyframe.scan, self._look(keyframe))
         self._submaps.move_to_end(keyframe.scan)
         return self._submaps[keyframe.scan]
 
@@ -113,7 +113,8 @@ class Surroundings:
         return list(dict.fromkeys(reversed(chosen)))[::-1]
 
 
-def _keep(kept: OrderedDict[int, T], key: int, value: T) -> None:
+def keep(kept: OrderedDict[int, T], key: int, value: T) -> None:
+    """Put it to those that are kept; the oldest one goes."""
     kept[key] = value
     if len(kept) > KEPT:
         kept.popitem(last=False)

@@ -64,6 +64,15 @@ def save_store(
         part.unlink(missing_ok=True)
 
 
+def check(patch: MapPatch, params: ElevationConfig) -> None:
+    """Raises MapError where a store of these parameters cannot hold a read-out."""
+    if abs(patch.resolution - params.resolution) > 1e-9:
+        raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
+    for name, most in (("source", HOLE), ("trusted", 1)):
+        if not ((patch.layers[name] >= 0) & (patch.layers[name] <= most)).all():
+            raise MapError(f"the copy has cells whose {name!r} is not 0 to {most}")
+
+
 def restore_store(
     store: TileStore, patch: MapPatch, params: ElevationConfig, now: int, *, sent: bool = True
 ) -> int:
@@ -73,12 +82,8 @@ def restore_store(
     `sent`: they count as sent, as the reader they came from has them. Raises MapError for another resolution, and for
     cells of no known source.
     """
-    if abs(patch.resolution - params.resolution) > 1e-9:
-        raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
+    check(patch, params)
     layers = patch.layers
-    for name, most in (("source", HOLE), ("trusted", 1)):
-        if not ((layers[name] >= 0) & (layers[name] <= most)).all():
-            raise MapError(f"the copy has cells whose {name!r} is not 0 to {most}")
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
     source[(source == HOLE) & (layers["trusted"] > 0.0)] = LIDAR  # its floor was seen
     known = (source == CONTACT) | (source == LIDAR) | (source == PLANTS)

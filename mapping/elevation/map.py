@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
-from mapping.elevation.files import MAX_TILES, load_into, read_cloud, restore_store, save_store
+from mapping.elevation.files import MAX_TILES, check, load_into, read_cloud, restore_store, save_store
 from mapping.elevation.holes import Crossing
 from mapping.elevation.mirror import BLOCK, PART
 from mapping.elevation.plants import HARD, LEAFY, PlantVolume
@@ -32,7 +33,7 @@ from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import AT_ONCE, CONTACT, FRESH, LIDAR, PLANTS, PRIOR, Layers, TileStore
+from mapping.elevation.tiles import AT_ONCE, CONTACT, FRESH, LIDAR, PLANTS, PRIOR, UNKNOWN, Layers, TileStore
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
@@ -56,6 +57,31 @@ UPRIGHT = 0.7
 """Cosine of the tilt of a trunk that stands on its wheels."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """What a map moves by while its scans glide after it."""
+
+    offset: tuple[float, float, float]
+    """x, y [m], yaw [rad] of the map of before in the one that comes."""
+    lift: float
+    """How much higher it lies there [m]."""
+    begin: int
+    end: int
+    """Stamps of the glide [ns]: what was seen before it moves by all of this, what was seen at its end not at all."""
+
+    def of(
+        self, place: NDArray[np.float64], seen: NDArray[np.int32], begin: int, end: int
+    ) -> NDArray[np.float64]:
+        """(n, 2) rows and columns [m] by which cells at `place` (n, 2) move that were `seen` (n,) then; begin, end:
+        those of the glide, as `seen` is told."""
+        x, y, yaw = self.offset
+        c, s = math.cos(yaw), math.sin(yaw)
+        row, col = place.T
+        whole = np.column_stack([y + s * col + c * row - row, x + c * col - s * row - col])
+        left = np.clip((end - seen) / max(end - begin, 1), 0.0, 1.0)
+        return np.asarray(left[:, None] * whole)
 
 
 class ElevationMap:
@@ -418,6 +444,41 @@ class ElevationMap:
         known = sum(restore_store(store, patch, self.params, PRIOR, sent=False) for patch in patches)
         self._start_on(store, cloud)
         return known
+
+    def follow(self, patches: Sequence[MapPatch], cloud: NDArray[np.float32], until: int, move: Move) -> int:
+        """Go on, in the same epoch, with another map of the same ground, which came as patches and its cloud (n, 3);
+        returns the cells that are known from it. What was seen after `until` [ns] stays where the other map knows
+        nothing, moved by `move`. Raises MapError, and stays as it is, for another resolution."""
+        for patch in patches:
+            check(patch, self.params)
+        s, r = self.store, self.params.resolution
+        first = s.keys
+        if len(first):
+            s.bring(*first.min(axis=0).tolist(), *first.max(axis=0).tolist())
+        held = s.cells[: s.used * s.size**2]
+        new = np.flatnonzero((held["seen"] > self._since(until)) & (held["source"] != UNKNOWN))
+        kept, place = held[new], s.where(new) * np.float64(r)
+        place += move.of(place, kept["seen"], self._since(move.begin), self._since(move.end))
+        for name in ("height", "alt", "below", "upper"):
+            kept[name] += move.lift
+        held[:], s.touched[: s.used] = FRESH, 1
+        self._reader.walls.clear(s)
+        known = sum(restore_store(s, patch, self.params, PRIOR, sent=False) for patch in patches)
+        cell = s.locate(*np.rint(place.T / r).astype(np.int64))
+        free = s.cells["source"][cell] == UNKNOWN
+        s.cells[cell[free]] = kept[free]
+        s.changed(cell)
+        self.alignment.height += move.lift
+        self.cloud.clear()
+        self.cloud.enter(cloud)
+        self._granted, self._rays = [], 0
+        if self._plants is not None:
+            self._plants.rays = None
+        return known
+
+    def _since(self, stamp: int) -> int:
+        """`seen` of a cell that was seen at `stamp` [ns]."""
+        return (self._lived + stamp - self.stamp) // 1_000_000
 
     def _start_on(self, store: TileStore, cloud: NDArray[np.float32]) -> None:
         self.reset()

@@ -269,6 +269,13 @@ class TileStore:
             done = locate(i, j, self.directory, self.first, s, out, done)
         return out
 
+    def where(self, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(n, 2) row and column of cells (n,) of the pool."""
+        tile, within = np.divmod(cell, self.size**2)
+        return np.asarray(
+            self.tiles[tile] * self.size + np.column_stack(np.divmod(within, self.size)), np.int64
+        )
+
     def changed(self, cell: NDArray[np.int64]) -> None:
         """These cells (n,) of the pool were written: the next delta reads the tiles that they lie in."""
         self.touched[cell >> (2 * self.shift)] = 1

@@ -90,15 +90,12 @@ def map_close(
     drift: Annotated[
         float, typer.Option(help="How many times more than usual the odometry of this run drifts.")
     ] = 1.0,
-    wait: Annotated[
-        float, typer.Option(min=0.0, help="How long the robot has to stand without a goal then [s].")
-    ] = 600.0,
     robot: Robot = ROBOT,
 ) -> None:
     """Close the loops of the map while the stack runs.
 
-    On the robot's computer; the robot may drive. Its log so far becomes a map as by `build`. The robot goes on with it
-    once it stands without a goal.
+    On the robot's computer; the robot may drive. Its log so far becomes a map as by `build`. The robot goes on with it:
+    at once where it stands; while it drives it moves in the map by 2 cm/s, and keeps its goal.
     """
     from rbtrg_robot.cli.close import close
     from rbtrg_robot.cli.link import connect
@@ -117,7 +114,6 @@ def map_close(
             least,
             time.sleep,
             drift=drift,
-            wait=wait,
             progress=progress,
             say=_note,
         )

@@ -158,6 +158,7 @@ def build(
         made = fuse(recording, poses, params, which, lambda share: progress("map", share))
         made.save(out, to_text(areas))
         built.stamp, built.pose = recording.scans[which[-1]].stamp, poses[which[-1]]
+        built.pose[2, 3] += made.alignment.height
         built.record = _record(built, closed, closing.graph, recording, poses, made)
         _beside(out, ".json", json.dumps(built.record, indent=1).encode())
         _picture(made, closed, out.with_suffix(".png"))

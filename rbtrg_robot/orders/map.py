@@ -102,7 +102,8 @@ class ForgetTouched(Order):
 
 
 class LoadMap(Order):
-    """A prior map, sent until the elevation process has begun anew with it."""
+    """A prior map, sent until the elevation process has begun anew with it. One of the running run, with its loops
+    closed, is waited for while the robot glides to where it is in it."""
 
     hears = (t.MAP_STATUS,)
     sends = (t.MAP_PRIOR,)
@@ -120,9 +121,12 @@ class LoadMap(Order):
     def take(self, topic: Topic, message: Any) -> None:
         """A MapStatus."""
         self._said = message.detail
+        closes = len(self._prior.odom_in_map) > 0
         if self._epoch is None:
             self._epoch = int(message.epoch)
-        elif message.epoch > self._epoch and message.prior == self._prior.id:
+        elif message.location == "closing":
+            self.began = self._sent = time.monotonic()
+        elif (message.epoch > self._epoch or closes) and message.prior == self._prior.id:
             self.outcome = Outcome(True, message.detail)
         elif "not loaded" in message.detail and not math.isinf(self._sent):
             self.outcome = Outcome(False, message.detail)

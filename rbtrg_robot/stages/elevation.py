@@ -32,6 +32,7 @@ from rbtrg_robot.areas import fence_of, read_areas
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
+from rbtrg_robot.stages.closing import Closing, target_of, until_of
 from rbtrg_robot.stages.handover import Handover, possible
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.map_blocks import MapBlocks
@@ -135,6 +136,7 @@ class ElevationStage:
         self._detail = ""
         self._status_due = 0
         self._refused = 0
+        self._closing: Closing | None = None
         self._handover = Handover(elevation)
         """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
         self._areas = msg.Areas(areas=list(areas))
@@ -170,9 +172,7 @@ class ElevationStage:
             elif t.JOINTS.carried(message, topic):
                 self._waiting.joints(joint_sample(message))
             elif t.TF_STATIC.carried(message, topic):
-                if self._frame.take(message):
-                    self._location.settle(self._frame)
-                    return self._begin("the pose was set")
+                return self._move(jumped=self._frame.take(message))
             elif t.INITIAL_POSE.carried(message, topic):
                 if self._odom is not None:
                     self._location.tell(message, self._odom)
@@ -307,18 +307,47 @@ class ElevationStage:
             raise LayoutError("a prior map without a block")
         if patches[0].stamp == self._prior.stamp:
             return []  # a repeat
-        if not self._stands:
-            self._detail, self._status_due = "the map was not loaded: the robot moves", 0
+        if self._closing is not None and patches[0].stamp == self._closing.prior.stamp:
+            return []
+        target = target_of(message)
+        if (target is None and not self._stands) or (target and not self._location.state.known):
+            why = "moves" if target is None else "does not know where it is"
+            self._detail, self._status_due = f"the map was not loaded: the robot {why}", 0
             return []
         cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
         cloud = checked_cloud(cloud, "the loaded map")
-        start = (self._frame.x, self._frame.y, self._frame.yaw)
-        self._prior = Prior(
+        start = self._frame.offset if target is None else target[0]
+        prior = Prior(
             message.id, "the loaded map", start, patches, cloud, patches[0].stamp, finder=self._finder
         )
+        if target is not None:
+            self._closing = Closing(prior, target[1], until_of(message), self._frame.offset, self._fused)
+            self._location.close(start)
+            return self._tell() + self._move(jumped=False)  # it may be there already
+        self._prior = prior
         self._location = self._prior.search()
         self._areas, self._areas_due = msg.Areas(areas=message.areas), True
         return self._begin("the map was loaded")
+
+    def _move(self, *, jumped: bool) -> Outputs:
+        """The frames were told: `odom` lies where it lay, or elsewhere in `map`."""
+        settled, closing = self._location.settle(self._frame), self._closing
+        if not jumped and not settled:
+            return []
+        self._closing = None
+        if closing is None or not settled:  # somebody set the pose while the map was being closed
+            self._location = self._location if closing is None else Location()
+            return self._begin("the pose was set")
+        known = closing.take(self.map, self._fused, jumped=jumped)
+        self._prior, self._more = closing.prior, True
+        self._course.forget()
+        self._detail = f"the loops of the map were closed; {known} cells are known from before"
+        return self._tell()
+
+    def _tell(self) -> Outputs:
+        """The status, now."""
+        self._status_due = 0
+        return self.tick(self._now)
 
     def _begin(self, why: str) -> Outputs:
         """Start anew from the prior map: what was mapped stands elsewhere now. Readers hear of the new epoch first."""

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.rotation import wrap
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.sensor import Sensor
 from mapping.relocalise import Candidate, PriorMap, Submap, Verdict, locate
@@ -19,7 +18,7 @@ from mapping.relocalise.door import FinderError, OwnFinder
 from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.reasons import LOCATED
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
-from rbtrg_robot.wire.frames import MapFrame, Planar, offset_of, stands
+from rbtrg_robot.wire.frames import MapFrame, Planar, laid, near, offset_of, stands
 
 LOOK = 10
 """Scans of a look: one second, in which the rings of a LiDAR that stands do not move."""
@@ -29,6 +28,8 @@ LOOKS = 6
 """After so many the first ones are forgotten: odometry drifts."""
 SAME = 0.011
 """Offsets that differ by less [m, rad] are one: the odometry takes none that is nearer."""
+ARRIVED = 1e-6
+"""The same of one that glides: it ends where it is to."""
 LISTED = 3
 """Candidates that are named."""
 
@@ -44,6 +45,7 @@ class State(StrEnum):
     NOT_FOUND = "not_found"
     ASSUMED = "assumed"
     TOLD = "told"
+    CLOSING = "closing"
 
     @property
     def known(self) -> bool:
@@ -97,10 +99,15 @@ class Location:
         return out
 
     def restore(self, status: msg.MapStatus) -> None:
-        """What the process before this one had found."""
-        if status.location in LOCATED:
+        """What the process before this one had found. A map that it was closing comes again."""
+        if status.location in LOCATED and status.location != State.CLOSING:
             self._name = self._name or "the loaded map"
             self._say(State(status.location), status.location_detail)
+
+    def close(self, offset: Planar) -> None:
+        """`odom` is to lie at `offset`, where the map of this run with its loops closed has it."""
+        self.offset, self._name = offset, "the closed map"
+        self._say(State.CLOSING, "the loops of the map are closed: the robot moves in it to where it is")
 
     def tell(self, pose: msg.PoseWithCovarianceStamped, odom: msg.Odometry) -> None:
         """An operator says where the robot stands: only around there it is searched, and without success it is
@@ -141,13 +148,15 @@ class Location:
             self._decide(odom)
 
     def settle(self, frame: MapFrame) -> bool:
-        """Whether the frames have come to what was found just now."""
-        if self.state is not State.FOUND or self.offset is None:
+        """Whether the frames have come to what was found just now, or is being closed."""
+        if self.state not in (State.FOUND, State.CLOSING) or self.offset is None:
             return False
-        x, y, yaw = self.offset
-        if math.dist((x, y), (frame.x, frame.y)) > SAME or abs(wrap(yaw - frame.yaw)) > SAME:
+        within = SAME if self.state is State.FOUND else ARRIVED
+        if not near(self.offset, frame.offset, (within, within)):
             return False
-        self._say(State.LOCATED, self.words)
+        self._say(
+            State.LOCATED, self.words if self.state is State.FOUND else "the loops of the map are closed"
+        )
         return True
 
     def _decide(self, odom: msg.Odometry) -> None:
@@ -218,7 +227,5 @@ def _words(candidate: Candidate) -> str:
 
 def pose_of(offset: Planar, odom: msg.Odometry) -> Planar:
     """Where a robot stands in `map` whose `odom` lies at `offset`."""
-    frame = MapFrame()
-    frame.x, frame.y, frame.yaw = offset
     here = odom.pose.pose
-    return frame.pose2(here.position.x, here.position.y, yaw_of(here.orientation))
+    return laid(offset, (here.position.x, here.position.y, yaw_of(here.orientation)))

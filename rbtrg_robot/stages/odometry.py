@@ -11,7 +11,7 @@ from hal.camera import MountedCamera
 from hal.robots import urdf
 from hal.rotation import quaternion as from_matrix
 from hal.rotation import wrap
-from hal.types import Extrinsics, MountedLidar
+from hal.types import NS, Extrinsics, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.poses import checked_pose
 from mapping.grid import FARTHEST
@@ -46,13 +46,17 @@ from rbtrg_robot.wire.convert import (
     xyzw,
     yaw_of,
 )
-from rbtrg_robot.wire.frames import MapFrame, offset_of, stands
+from rbtrg_robot.wire.frames import MapFrame, Planar, glide, near, offset_of, stands
 from rbtrg_robot.wire.messages import array, header, stamp_of
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""
 SAME = 0.01
 """A pose that differs less [m, rad] from the present one is a repeat."""
+STANDS_FOR = 2 * NS
+"""A robot that stands so long [ns] is moved in `map` at once: its driver holds no path that it would lose."""
+LATEST = 0.5
+"""Between two scans no more is glided than in this time [s]."""
 NOTHING = np.empty((0, 3), np.float32)
 
 
@@ -98,6 +102,10 @@ class OdometryStage:
         self._before: msg.Odometry | None = None
         """Where the robot was before this process was restarted: the new odometry goes on from there."""
         self._shift = MapFrame()
+        self._target: Planar | None = None
+        """Where `odom` is to lie in `map` once its loops are closed; `_start` glides there."""
+        self._stood = 0
+        """Since when the robot stands [ns]; 0 while it moves."""
         self._announced = False
         self._odom: msg.Odometry | None = None
         self._place_sigma = self._told = 0.0
@@ -131,8 +139,10 @@ class OdometryStage:
             elif t.INITIAL_POSE.carried(message, topic):
                 outputs += self._place(message)
             elif t.MAP_STATUS.carried(message, topic):
+                offset = message.odom_in_map.tolist()
                 if message.location == "found":
-                    outputs += self._take_offset(*message.odom_in_map.tolist())
+                    outputs += self._take_offset(*offset)
+                self._target = offset if message.location == "closing" and _possible(offset) else None
             elif t.TF_STATIC.carried(message, topic):  # of the process before this one
                 known = MapFrame()
                 known.take(message)
@@ -195,25 +205,37 @@ class OdometryStage:
         """An operator tells the robot's pose in `map`. Ignored while it moves: the told place is old when it
         arrives."""
         place, odom = message.pose.pose.position, self._odom
-        yaw = yaw_of(message.pose.pose.orientation)
-        known = (
-            all(map(math.isfinite, (place.x, place.y, yaw))) and max(abs(place.x), abs(place.y)) < FARTHEST
-        )
-        if odom is None or message.header.frame_id not in ("", MAP) or not known or not stands(odom):
+        told = place.x, place.y, yaw_of(message.pose.pose.orientation)
+        if odom is None or message.header.frame_id not in ("", MAP) or not _possible(told):
             return []
-        return self._take_offset(*offset_of((place.x, place.y, yaw), odom))
+        return self._take_offset(*offset_of(told, odom))
 
     def _take_offset(self, x: float, y: float, turn: float) -> Outputs:
         """`odom` lies at x, y [m], turned by `turn` [rad] in `map`. Refused while the robot moves: its driver would
         lose the way."""
         odom = self._odom
-        known = all(map(math.isfinite, (x, y, turn))) and max(abs(x), abs(y)) < FARTHEST
-        if odom is None or not known or not stands(odom):
+        if odom is None or not _possible((x, y, turn)) or not stands(odom):
             return []
-        if math.dist((x, y), self._start[:2]) > SAME or abs(wrap(turn - self._start[2])) > SAME:
+        if not near((x, y, turn), self._start, (SAME, SAME)):
             self._told = self._place_sigma
             self._start = (x, y, turn)  # otherwise a repeat: the frames stay, and are told again
         return [(t.TF_STATIC, self._frames(stamp_of(odom)))]
+
+    def _glide(self, odom: msg.Odometry, before: msg.Odometry | None) -> Outputs:
+        """`odom` on its way to where the closed map has it: slowly while the robot drives, at once where it stands.
+        before: the pose of the scan before."""
+        now, here = stamp_of(odom), odom.pose.pose
+        self._stood = (self._stood or now) if stands(odom) else 0
+        if self._target is None or before is None:
+            return []
+        if self._stood and now - self._stood >= STANDS_FOR:
+            self._start = self._target
+        else:
+            seconds = min(max(now - stamp_of(before), 0) / NS, LATEST)
+            place = here.position.x, here.position.y, yaw_of(here.orientation)
+            self._start = glide(self._start, self._target, place, seconds)
+        self._told = self._place_sigma
+        return [(t.TF_STATIC, self._frames(now))]
 
     def _fast(self, fast: FastPose) -> Outputs:
         if self._before is not None:
@@ -254,8 +276,8 @@ class OdometryStage:
             counter=list(counters),
             count=array(list(counters.values()), "uint32"),
         )
-        self._odom, self._place_sigma = odom, scan.place_sigma
-        outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom)]
+        before, self._odom, self._place_sigma = self._odom, odom, scan.place_sigma
+        outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom), *self._glide(odom, before)]
         if not isinstance(self._odometry, LidarInertialOdometry):  # no pose in between: tf has this one
             transform = transform_msg(scan.stamp, ODOM, BASE, position, orientation)
             outputs.append((t.TF, msg.TFMessage(transforms=[transform])))
@@ -264,6 +286,11 @@ class OdometryStage:
                 cloud = scan.clouds.get(name, NOTHING)
                 outputs.append((t.CLOUDS[name], cloud_msg(scan.stamp, BASE, cloud)))
         return outputs
+
+
+def _possible(place: Planar) -> bool:
+    """Whether something can lie there."""
+    return all(map(math.isfinite, place)) and max(map(abs, place[:2])) < FARTHEST
 
 
 def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:

@@ -1,4 +1,4 @@
-"""map <- odom, looked up by every consumer; constant until a correction is published.
+"""map <- odom, looked up by every consumer; constant until a correction is published, which jumps or glides.
 
 In simulation `map` is the scene's own frame and the offset is the start pose the robot was given; on hardware it is
 the identity unless the configuration says where the robot starts.
@@ -18,6 +18,12 @@ from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
 Planar = tuple[float, float, float]
 """x, y [m], yaw [rad]."""
 
+GLIDE = (0.02, math.radians(0.1))
+"""How fast the robot, the origin of `odom` [m/s] and the heading [rad/s] move in `map` while its loops are closed as
+the robot drives: in a second less than a cell, up to 10 m away. The map and its readers keep up with that."""
+JUMP = (0.05, math.radians(0.25))
+"""An offset that differs by less [m], [rad] from the one before is a piece of a glide, even if some were not heard."""
+
 
 class MapFrame:
     """The offset of `odom` in `map`; both are gravity-aligned, so it is a translation and a heading."""
@@ -31,24 +37,24 @@ class MapFrame:
 
     def take(self, message: TFMessage) -> bool:
         """Take the offset from a tf2_msgs/TFMessage; an offset that is not finite is ignored. Returns whether a known
-        offset changed."""
-        before = (self.x, self.y, self.z, self.yaw) if self.known else None
+        offset jumped: what was worked out in `map` is elsewhere now."""
+        before = self.offset if self.known else None
         for transform in message.transforms:
             if transform.header.frame_id == MAP and transform.child_frame_id == ODOM:
                 offset, yaw = transform.transform.translation, yaw_of(transform.transform.rotation)
                 if all(map(math.isfinite, (offset.x, offset.y, offset.z, yaw))):
                     self.x, self.y, self.z, self.yaw = offset.x, offset.y, offset.z, yaw
                     self.known = True
-        return before not in (None, (self.x, self.y, self.z, self.yaw))
+        return before is not None and not near(before, self.offset, JUMP)
+
+    @property
+    def offset(self) -> Planar:
+        """x, y [m], yaw [rad]."""
+        return self.x, self.y, self.yaw
 
     def pose2(self, x: float, y: float, yaw: float) -> Planar:
         """A planar pose in `odom` as one in `map`."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        return (
-            self.x + c * x - s * y,
-            self.y + s * x + c * y,
-            wrap(yaw + self.yaw),
-        )
+        return laid(self.offset, (x, y, yaw))
 
     def pose3(
         self, position: NDArray[np.float64], orientation: NDArray[np.float64]
@@ -60,6 +66,32 @@ class MapFrame:
         qx, qy, qz, qw = orientation.tolist()
         turned = np.array([c * qx - s * qy, c * qy + s * qx, c * qz + s * qw, c * qw - s * qz])
         return np.array([x, y, pz + self.z]), turned
+
+
+def laid(offset: Planar, place: Planar) -> Planar:
+    """A place in `odom` as one in `map`, where `odom` lies at `offset`."""
+    c, s = math.cos(offset[2]), math.sin(offset[2])
+    x, y, yaw = place
+    return offset[0] + c * x - s * y, offset[1] + s * x + c * y, wrap(yaw + offset[2])
+
+
+def near(a: Planar, b: Planar, within: tuple[float, float]) -> bool:
+    """Whether two offsets differ by less than `within` [m], [rad]."""
+    return math.dist(a[:2], b[:2]) < within[0] and abs(wrap(a[2] - b[2])) < within[1]
+
+
+def glide(offset: Planar, target: Planar, place: Planar, seconds: float) -> Planar:
+    """The offset of `odom` in `map` so many `seconds` later on its way to `target`, by `GLIDE`. place: the robot's in
+    `odom`."""
+    here, there = laid(offset, place), laid(target, place)
+    turn = wrap(target[2] - offset[2])
+    moves = max(math.dist(here[:2], there[:2]), math.dist(offset[:2], target[:2]))
+    needs = max(moves / GLIDE[0], abs(turn) / GLIDE[1])
+    if needs <= seconds:
+        return target
+    share = seconds / needs
+    x, y = (a + share * (b - a) for a, b in zip(offset[:2], target[:2], strict=True))
+    return x, y, wrap(offset[2] + share * turn)
 
 
 def offset_of(place: Planar, odom: Odometry) -> Planar:

@@ -6,10 +6,11 @@
     python -m tools.bench loops --only graph --seeds 20
 
 `graph` is the way through `site` without LiDARs: each place that is passed again closes a loop that is 6 mm and 0.05
-deg off. It tells how near such an odometry can come at all. `ring` is a short loop, `twins` two corridors that look
-the same to the last crate, `site` 150 x 150 m with a hill and four such corridors, 1.2 km. What the LiDARs see is
-cast on the scene; the odometry is the truth with errors of the size that the stack's odometry has
-(`tools.closing.Drift`), `--drift` times as large. Truth judges, and nothing else uses it.
+deg off. It tells how near odometry and loops can come alone, and with keyframes that sweeps lay onto each other.
+`ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and
+four such corridors, 1.2 km. What the LiDARs see is cast on the scene; the odometry is the truth with errors of the
+size that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. Truth judges, and nothing else
+uses it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from hal.rotation import wrap
 from hal.scenes import Scene
 from hal.types import Array
 from mapping.closing import Closed, Closing, Recording, corrected, fuse
-from mapping.closing.close import DRIFT, LOOP_SIGMA, NEW, STEADY
+from mapping.closing.close import DRIFT, LOOP_SIGMA, NEW, NEXT_SIGMA, STEADY
 from mapping.closing.graph import PoseGraph, between, levelled
 from mapping.closing.keyframes import SPACING
 from mapping.elevation.config import ElevationConfig
@@ -36,6 +37,8 @@ from tools.closing import HEIGHT, Drift, Drive, Way, drifted, record, ring, site
 SITES = ("ring", "twins", "site")
 EXACT = np.array([0.006, 0.006, 0.006, math.radians(0.05)])
 """Errors of a registration: x, y, z [m], yaw [rad]."""
+SWEPT = np.array([0.001, 0.001, 0.001, math.radians(0.006)])
+"""The same of two sweeps that are laid onto each other."""
 WRONG = (0.3, 2.0)
 """A closed loop that is further off is wrong [m], [deg]."""
 ASKED = (0.15, 0.3)
@@ -70,8 +73,8 @@ def run(args: list[str]) -> Report:
 
 
 def graph_rows(report: Report, options: argparse.Namespace) -> None:
-    """Largest error of any keyframe after closing, over the drives: with what the runs are wrong by all along told from
-    the rest, and without."""
+    """Largest error of any keyframe after closing, over the drives: by odometry and loops, and with sweeps between
+    neighbours."""
     scene, way = site(options.scale, options.first)
     truth = way_through(scene, way, SPACING)
     ground = np.array([levelled(pose, HEIGHT) for pose in truth])
@@ -86,7 +89,7 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
         if (near := [(d, a) for a in range(b) if (d := _apart(ground, along, nodes[a], nodes[b])) < SPACING])
     ]
     report.add("graph.loops", len(loops), "1")
-    for name, steady in (("steady", STEADY), ("plain", None)):
+    for name in ("odometry", "sweeps"):
         found = []
         for seed in range(options.first, options.first + options.seeds):
             said = drifted(truth, Drift().times(options.drift), seed)
@@ -96,11 +99,15 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
             graph.begin(ground[0])
             for a, b in pairwise(nodes):
                 far = along[b] - along[a]
-                graph.drive(between(place[a], place[b]), DRIFT * math.sqrt(far), far)
+                if name == "sweeps":
+                    seen = between(ground[a], ground[b]) + SWEPT * rng.standard_normal(4)
+                    graph.drive(seen, NEXT_SIGMA, far)
+                else:
+                    graph.drive(between(place[a], place[b]), DRIFT * math.sqrt(far), far)
             for a, b in loops:
                 seen = between(ground[nodes[a]], ground[nodes[b]]) + EXACT * rng.standard_normal(4)
                 graph.close(a, b, seen, LOOP_SIGMA)
-            graph.solve(steady)
+            graph.solve(STEADY)
             off = graph.nodes - ground[nodes]
             turned = np.degrees(np.abs(wrap(off[:, 3]))).max()
             found.append((np.linalg.norm(off[:, :3], axis=1).max(), turned))

@@ -3,7 +3,7 @@ import { $, button, figure, put } from "./tell.js";
 
 export const ACTIVE = ["accepted", "planning", "moving", "recovering", "paused"];
 const LYING = ["sitting", "damped"];
-const LOCATED = ["", "located", "assumed", "told"];
+const LOCATED = ["", "located", "assumed", "told", "closing"];
 const SILENT = {
   console:
     "This page does not reach the console: the robot may go on by itself. STOP is tried all the same; where it is not confirmed, use the hardware stop.",

@@ -152,7 +152,14 @@ class NavigatorStage:
     def _moved(self) -> None:
         self._pose = None
         self._trail.forget()
-        if self._goal and self._goal.state.active:
+        if not self._goal or not self._goal.state.active:
+            return
+        if self._inputs.map is not None and self._inputs.map.location == "closing":
+            self._missing_since = (
+                self._now
+            )  # the goal stays where it is in the map: another way to it is asked for
+            self._stand(self._goal, "the loops of the map were closed")
+        else:
             self._end(GoalState.ABORTED, Reason.LOST, "the pose was set anew")
 
     def _request(self, message: msg.GoalRequest) -> None:
@@ -274,6 +281,8 @@ class NavigatorStage:
                 self._end(GoalState.ABORTED, reason, detail)
             return None
         if self._missing_since:
+            if self._pose is None:
+                return None
             self._missing_since = 0
             goal.detail = ""
             self._plan = None

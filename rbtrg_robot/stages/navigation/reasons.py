@@ -105,7 +105,7 @@ def hindrance(robot: RobotState | None) -> tuple[Reason, str] | None:
     return None
 
 
-LOCATED = ("", "located", "assumed", "told")
+LOCATED = ("", "located", "assumed", "told", "closing")
 """`MapStatus.location` in which a goal in `map` means something."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from rbtrg_robot.wire.convert import (
     patch_msg,
     transform_msg,
 )
+from rbtrg_robot.wire.messages import time_msg
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 SWEEP = 100_000_000
@@ -218,3 +220,58 @@ def test_the_cost_of_the_ground_is_a_grid_as_ros_counts() -> None:
     near = [at(2.0 + 0.45 * np.cos(a), 1.0 + 0.45 * np.sin(a)) for a in np.linspace(0, 6.28, 40)]
     assert max(near) == 100, "a step of half a metre"
     assert [topic for topic, _ in fed.sweep(0.0, 0.0)] == [t.MAP_WINDOW], "showing changes nothing"
+
+
+def closed_map(fed: Fed, x: float, lift: float = 0.0) -> Any:
+    """The present map as one of this run, with `odom` at `x` [m]."""
+    block = patch_msg(replace(fed.stage.map.full(), stamp=fed.now + 1))
+    return t.MAP_PRIOR.kind(
+        id="closed", map=[block], odom_in_map=np.array([x, 0.0, 0.0, lift]), until=time_msg(fed.now)
+    )
+
+
+def test_a_closed_map_waits_until_the_frames_have_come_to_it() -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    epoch, prior = fed.status.epoch, closed_map(fed, 0.12, lift=0.05)
+    ((_, status),) = fed.stage.on(t.MAP_PRIOR, prior)
+    assert (status.location, status.odom_in_map.tolist(), status.prior) == ("closing", [0.12, 0.0, 0.0], "")
+    assert fed.stage.on(t.MAP_PRIOR, prior) == [], "a repeat"
+    for x in (0.04, 0.08):
+        fed.set_pose(x)
+        assert fed.sweep(0.0, 0.0) != []
+        assert fed.status.location == "closing"
+    height = fed.stage.map.alignment.height
+    fed.now += SWEEP
+    fed.set_pose(0.12)
+    status = fed.status
+    assert (status.location, status.prior, status.epoch) == ("located", "closed", epoch)
+    assert status.height_correction == pytest.approx(height + 0.05)
+    assert status.detail.startswith("the loops of the map were closed")
+
+
+def test_a_closed_map_that_moves_nothing_is_taken_at_once() -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    told = [message.location for _, message in fed.stage.on(t.MAP_PRIOR, closed_map(fed, 0.0))]
+    assert told == ["closing", "located"]
+
+
+def test_a_pose_that_is_set_meanwhile_ends_it() -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    epoch = fed.status.epoch
+    fed.stage.on(t.MAP_PRIOR, closed_map(fed, 0.12))
+    fed.set_pose(5.0)
+    fed.now += SWEEP
+    status = fed.status
+    assert (status.location, status.prior, status.epoch) == ("", "", epoch + 1)
+
+
+@pytest.mark.parametrize("told", [[1.0], [0.0, 0.0, np.nan, 0.0]])
+def test_a_closed_map_that_does_not_tell_where_it_lies_is_refused(told: list[float]) -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    assert fed.stage.on(t.MAP_PRIOR, replace(closed_map(fed, 0.0), odom_in_map=np.array(told))) == []
+    status = fed.status
+    assert (status.location, status.refused) == ("", 1)

@@ -120,7 +120,7 @@ def frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArra
         left &= np.hypot(nodes[:, 0] - x, nodes[:, 1] - y) > radius
     dark = graph.frontier & left
     # Places of one query are none: the graph did not find them worth standing at.
-    return dark if dark.any() else _beside_virtual(graph) & (graph.node_ids >= 0) & left
+    return dark if dark.any() else beside_virtual(graph) & (graph.node_ids >= 0) & left
 
 
 def with_hysteresis(
@@ -142,7 +142,7 @@ def worth_keeping(kept: float, best: float) -> bool:
     return kept - best < max(SWITCH_LEAST, SWITCH_SHARE * kept)
 
 
-def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
+def beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
     """(n,) nodes from whose surroundings virtual ground begins: what lies behind a wall does not."""
     c = graph.cells
     if c is None:

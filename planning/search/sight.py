@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mapping.grid import ElevationGrid
-from planning.graph.flags import FACE, UNSEEN_RAW
+from planning.graph.flags import FACE, UNSEEN_RAW, VIRTUAL
 from planning.graph.graph import TraversalGraph
 
 Array = NDArray[np.float64]
@@ -149,7 +149,7 @@ def _reduce(flags, height, x0, y0, res, ox, oy, seen, top):
             if i < 0 or i >= cols:
                 continue
             count[j, i] += 1
-            if not flags[r, c] & UNSEEN_RAW:
+            if not flags[r, c] & (UNSEEN_RAW | VIRTUAL):  # rays passed over virtual ground, none met it
                 known[j, i] += 1
                 if flags[r, c] & FACE and height[r, c] > top[j, i]:
                     top[j, i] = height[r, c]

@@ -1,11 +1,10 @@
 """Where a robot that explores looks from next: places at the edge of what it has seen, what each shows, and the order
 to visit them.
 
-A place is a frontier node of the graph, so the robot can come there. What it shows is the ground nobody saw that lies
-within `SIGHT` and behind no wall; places are taken one after the other, each with what the ones before it leave (a
-greedy cover). The order is the shortest way over all of
-them and, where the robot returns, home: the nearest place first leaves crumbs behind for which the robot comes back.
-Nothing is remembered here.
+A place is a node of the graph beside ground that nobody saw, so the robot can come there. What it shows is such ground
+that lies within `SIGHT` and behind no wall; places are taken one after the other, each with what the ones before it
+leave (a greedy cover). The order is the shortest way over all of them and, where the robot returns, home: the nearest
+place first leaves crumbs behind for which the robot comes back. Nothing is remembered here.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
+from planning.search.frontier import beside_virtual
 from planning.search.sight import Sight
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def viewpoints(graph: TraversalGraph, grid: ElevationGrid, survey: Survey, sigma
 
     sight = Sight.of(graph, grid, survey.area)
     way = ways(survey.start)
-    may = graph.frontier & np.isfinite(way) & sight.holds(nodes[:, :2])
+    may = (graph.frontier | beside_virtual(graph)) & np.isfinite(way) & sight.holds(nodes[:, :2])
     for place in () if survey.barred is None else survey.barred:
         may &= np.hypot(*(nodes[:, :2] - place).T) > BARRED
     chosen, gain = _cover(nodes, np.flatnonzero(may), way, sight)

@@ -115,3 +115,19 @@ def test_what_a_place_shows_is_what_a_plain_count_says() -> None:
                 break
             total += s * step * step * 2.0 * math.pi / sight.RAYS * (unseen[r, c] and not taken[r, c])
     assert sight._shown(place, unseen, taken, top, 0.0, 0.0)[0] == pytest.approx(total, rel=1e-9)
+
+
+def test_ground_that_rays_only_passed_over_is_looked_at() -> None:
+    height = np.zeros((120, 160), np.float32)
+    rim = np.ones(height.shape, np.bool_)
+    rim[3:-3, 3:-3] = False
+    height[rim] = 1.5
+    passed_over = np.zeros(height.shape, np.bool_)
+    passed_over[3:-3, 100:140] = True
+    grid = ElevationGrid(height, ~passed_over, (0.0, 0.0), RES, virtual=passed_over)
+    graph = TraversalGraph.build(grid, (1.0, 3.0))
+    found = v.viewpoints(graph, grid, v.Survey((1.0, 3.0)), 3.0)
+    assert len(found.xy)
+    assert (found.xy[:, 0] > 3.5).all(), "beside it"
+    assert found.hidden == pytest.approx(11.0, abs=2.0)  # 2 x 5.7 m
+    assert found.coverage < 0.9

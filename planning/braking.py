@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FOLD = math.radians(100.0)
+FOLD_ANGLE = math.radians(100.0)
 """A path that turns by more at one point turns round: the ways to and from it lie beside each other, so it is driven to
 that point first."""
 

@@ -12,7 +12,9 @@ from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
 from planning.graph.params import Window
 
-OFFSETS = np.array([(0, 1), (0, 2)] + [(j, i) for j in (1, 2) for i in range(-2, 3)], dtype=np.int64)
+NEIGHBOUR_OFFSETS = np.array(
+    [(0, 1), (0, 2)] + [(j, i) for j in (1, 2) for i in range(-2, 3)], dtype=np.int64
+)
 """(12, 2) row and column steps to the lattice neighbours an edge may lead to, each pair once."""
 
 
@@ -27,7 +29,7 @@ class Cells:
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
         frontier, headings: (ny, nx) as in `TraversalGraph`; turn_price: (ny, nx, 2).
-        risk: (ny, nx, 12) float32 native risk of the edge to each of `OFFSETS`, -1 = no edge.
+        risk: (ny, nx, 12) float32 native risk of the edge to each of `NEIGHBOUR_OFFSETS`, -1 = no edge.
         price: (ny, nx, 12, 2, 2) float32 [m] what crossing it costs: there and back, driven forward and backward.
         node_revision, edge_revision: the version at which terrain under any pose there last changed.
     """
@@ -65,9 +67,9 @@ class Cells:
         self.frontier = np.zeros((ny, nx), dtype=np.bool_)
         self.headings = np.zeros((ny, nx), dtype=np.uint64)
         self.node_revision = np.zeros((ny, nx), dtype=np.int32)
-        self.risk = np.full((ny, nx, len(OFFSETS)), -1.0, dtype=np.float32)
-        self.price = np.zeros((ny, nx, len(OFFSETS), 2, 2), dtype=np.float32)
-        self.edge_revision = np.zeros((ny, nx, len(OFFSETS)), dtype=np.int32)
+        self.risk = np.full((ny, nx, len(NEIGHBOUR_OFFSETS)), -1.0, dtype=np.float32)
+        self.price = np.zeros((ny, nx, len(NEIGHBOUR_OFFSETS), 2, 2), dtype=np.float32)
+        self.edge_revision = np.zeros((ny, nx, len(NEIGHBOUR_OFFSETS)), dtype=np.int32)
 
     def copy(self) -> Cells:
         """Cells of their own that hold the same."""

@@ -12,17 +12,17 @@ from hal.kernels import select
 from hal.raster import cell_of
 from planning.graph.edge_price import EVEN_TAN
 from planning.graph.faces import LEAST_FACE
-from planning.graph.flags import BASE, FACE, HIGH, LOW, UNSEEN
+from planning.graph.flags import FACE, HIGH, LOW, STEP_BASE, UNSEEN
 from planning.graph.nodes import step_distance2
 from planning.graph.prices import angle_at, size_at
 
-RAYS = 16
-HEADINGS = 36
+FRONTIER_RAYS = 16
+HEADING_COUNT = 36
 """Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
-HEADING_STEP = math.pi / HEADINGS
-COS = np.array([math.cos(h * math.pi / HEADINGS) for h in range(HEADINGS)])
-SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
-ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
+HEADING_STEP = math.pi / HEADING_COUNT
+COS = np.array([math.cos(h * math.pi / HEADING_COUNT) for h in range(HEADING_COUNT)])
+SIN = np.array([math.sin(h * math.pi / HEADING_COUNT) for h in range(HEADING_COUNT)])
+ALL_HEADINGS = np.uint64((1 << HEADING_COUNT) - 1)
 WHEEL_RING = (-0.06, 0.15)
 """So far beyond `GraphParams.axle` from its middle the wheels of a robot that turns on the spot meet the ground
 [m]."""
@@ -40,11 +40,11 @@ def open_frontier(flags, x0, y0, res, x, y, ring):
     need = math.ceil(UNKNOWN_RUN / res)
     last = False
     first = False
-    for a in range(RAYS + 1):
-        if a == RAYS:
+    for a in range(FRONTIER_RAYS + 1):
+        if a == FRONTIER_RAYS:
             return last and first
-        dx = math.cos(2.0 * math.pi * a / RAYS) * res
-        dy = math.sin(2.0 * math.pi * a / RAYS) * res
+        dx = math.cos(2.0 * math.pi * a / FRONTIER_RAYS) * res
+        dy = math.sin(2.0 * math.pi * a / FRONTIER_RAYS) * res
         run = 0
         for s in range(1, n + 1):
             px = x + s * dx
@@ -91,7 +91,7 @@ def free_headings(flags, x0, y0, res, x, y, length, width):
             if not flag & FACE:
                 continue
             dx = x0 + c * res - x
-            for h in range(HEADINGS):
+            for h in range(HEADING_COUNT):
                 cs, sn = COS[h], SIN[h]
                 if abs(dx * cs + dy * sn) <= 0.5 * length and abs(dy * cs - dx * sn) <= 0.5 * width:
                     bit = np.uint64(1) << np.uint64(h)
@@ -113,7 +113,7 @@ def turn_is_free(headings, yaw_in, turn):
     low = min(yaw_in, yaw_in + turn)
     high = max(yaw_in, yaw_in + turn)
     for k in range(math.floor(low / HEADING_STEP) + 1, math.ceil(high / HEADING_STEP)):
-        if not headings >> np.uint64(k % HEADINGS) & np.uint64(1):
+        if not headings >> np.uint64(k % HEADING_COUNT) & np.uint64(1):
             return False
     return True
 
@@ -128,7 +128,7 @@ def turn_ground(height, trusted, faces, x0, y0, res, x, y, axle, climbed):
     its faces, the mean of four quarters: on a crest they look four ways.
     """
     rows, cols = height.shape
-    n = max(1, round(0.5 * BASE / res))
+    n = max(1, round(0.5 * STEP_BASE / res))
     near, far = (axle + WHEEL_RING[0]) / res, (axle + WHEEL_RING[1]) / res
     reach = math.ceil(far)
     r_mid = cell_of(y, y0, res)

@@ -16,19 +16,19 @@ from numba import njit
 from hal.kernels import inlined
 from hal.raster import cell_of
 from planning.graph.faces import LEAST_FACE
-from planning.graph.flags import BASE, FIELD, HOLE, UNSEEN, VIRTUAL
-from planning.graph.prices import LONGEST_TREAD, SIZE_STEP, SIZES, angle_at, size_at, tread_at
+from planning.graph.flags import FIELD, HOLE, STEP_BASE, UNSEEN, VIRTUAL
+from planning.graph.prices import LONGEST_TREAD, SIZE_COUNT, SIZE_STEP, angle_at, size_at, tread_at
 
-HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
+HIGHEST_FACE = (SIZE_COUNT - 1) * SIZE_STEP
 """Higher ones [m] are walls, which a move stays off."""
-BEYOND = 0.50
+TRACK_BEYOND = 0.50
 """A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole, and the
 tread beyond it."""
-SHORTEST = 0.06
+FACE_SPACING = 0.06
 """A wheel meets no more than one face, and no more than one gap, each so many [m]."""
 EVEN_TAN = math.tan(math.radians(5.0))
 """Slopes below [m/m] are noise of the map."""
-NO_SIGN, UP, DOWN = 0, 1, 2
+NO_SIGN, SIGN_UP, SIGN_DOWN = 0, 1, 2
 
 
 @njit(cache=True)
@@ -36,7 +36,7 @@ def face_normal(faces, res, r, c):
     """Unit vector of the normal of the face at a cell, uphill: one cell tells it to 45 deg, because both parts of a
     step that lies askew are as high as the step. Those around it that rise the same way tell it to 2 deg."""
     rows, cols, _ = faces.shape
-    n = round(BASE / res)
+    n = round(STEP_BASE / res)
     fx, fy = float(faces[r, c, 0]), float(faces[r, c, 1])
     x = y = 0.0
     for i in range(max(0, r - n), min(rows, r + n + 1)):
@@ -54,7 +54,7 @@ def face_normal(faces, res, r, c):
 @njit(cache=True)
 def room_for(d):
     """Rows that `wheel_track` needs for a move of `d` [m]."""
-    return 2 + int((d + 2.0 * BEYOND) / SHORTEST)
+    return 2 + int((d + 2.0 * TRACK_BEYOND) / FACE_SPACING)
 
 
 @njit(cache=True)
@@ -69,7 +69,7 @@ def wheel_track(height, flags, faces, x0, y0, res, radius, xw, yw, ux, uy, d, cr
     """
     rows, cols = height.shape
     step = 0.5 * res
-    beyond = int(BEYOND / step)
+    beyond = int(TRACK_BEYOND / step)
     n = math.ceil(d / step)
     sign, begin, low, high, first = NO_SIGN, 0, 0.0, 0.0, 0.0
     highest_post = 0
@@ -89,16 +89,16 @@ def wheel_track(height, flags, faces, x0, y0, res, radius, xw, yw, ux, uy, d, cr
                     highest_post = max(highest_post, big)
             if big >= 1000.0 * LEAST_FACE and not flag & (FIELD | HOLE | UNSEEN | VIRTUAL):
                 rise = faces[r, c, 0] * ux + faces[r, c, 1] * uy
-                now = UP if rise > 0.0 else (DOWN if rise < 0.0 else NO_SIGN)
+                now = SIGN_UP if rise > 0.0 else (SIGN_DOWN if rise < 0.0 else NO_SIGN)
                 z = float(height[r, c])
         if now != sign:
             if sign != NO_SIGN and found < len(crossed):
                 middle = (begin + k - 1) // 2
-                size = high - first if sign == UP else first - low
+                size = high - first if sign == SIGN_UP else first - low
                 size, angle = _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size)
                 if LEAST_FACE <= size <= HIGHEST_FACE:
                     crossed[found, 0] = middle
-                    crossed[found, 1] = size if sign == UP else -size
+                    crossed[found, 1] = size if sign == SIGN_UP else -size
                     crossed[found, 2] = angle
                     found += 1
             sign, begin, low, high, first = now, k, z, z, z

@@ -12,16 +12,16 @@ from planning.graph.edge_price import edge_price, room_for, wheel_track
 from planning.graph.edge_risk import F32, edge_risk
 from planning.graph.flags import FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 
-MARGIN = 0.02
+CORRIDOR_MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks
 exactly."""
-SECTION = 0.04
+SECTION_LENGTH = 0.04
 """Length of one cross-section of the corridor [m]."""
-SMOOTH = 0.30
+SLOPE_LENGTH = 0.30
 """Ground is averaged over this length before its slope is taken [m]: one stair tread."""
 SLOPE_TOLERANCE = 1.05
 """Factor on the tangent of the slope limit, for map noise."""
-COLUMNS = 9
+SUM_COLUMNS = 9
 """Sums over the cells of a section: how many there are, unseen, known; their height; height and count of those under
 the left and the right wheels; the risers there."""
 PLANTS_RISK = 0.5
@@ -106,10 +106,10 @@ def corridor(
     d = math.sqrt(dx * dx + dy * dy)
     ux = dx / d
     uy = dy / d
-    front = 0.5 * length + MARGIN
-    half = 0.5 * width + MARGIN
+    front = 0.5 * length + CORRIDOR_MARGIN
+    half = 0.5 * width + CORRIDOR_MARGIN
     span = d + 2.0 * front
-    n = math.ceil(span / SECTION)
+    n = math.ceil(span / SECTION_LENGTH)
     sums[:n] = 0.0
     reach_y = abs(uy) * front + abs(ux) * half
     r_lo = math.ceil((min(ya, yb) - reach_y - y0) / res)
@@ -137,7 +137,7 @@ def corridor(
             plants += flag & PLANTS > 0
             ex = x0 + c * res - xa
             ey = y - ya
-            k = int((ex * ux + ey * uy + front) / SECTION)
+            k = int((ex * ux + ey * uy + front) / SECTION_LENGTH)
             i = np.uint64(min(max(k, 0), n - 1))
             sums[i, 0] += 1.0
             if flag & UNSEEN:
@@ -164,7 +164,7 @@ def corridor(
             return -1.0
     if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
         return -1.0
-    under = int(2.0 * front / SECTION) if stood else 0
+    under = int(2.0 * front / SECTION_LENGTH) if stood else 0
     limit = max_tan * SLOPE_TOLERANCE
     if not _not_steep(sums, n, limit, 2.0 * prices.axle, 4.0 * strip, under):
         if not prices.measured or not _risers(
@@ -213,7 +213,7 @@ def _risers(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, front, sp
         )[0]
         for k in range(found):
             if crossed[k, 3] > 0.0 and 0.0 <= crossed[k, 0] < span:
-                sums[int(crossed[k, 0] / SECTION), 8] += 0.5 * crossed[k, 1]
+                sums[int(crossed[k, 0] / SECTION_LENGTH), 8] += 0.5 * crossed[k, 1]
                 some = True
     return some
 
@@ -222,8 +222,8 @@ def _risers(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, front, sp
 def _not_steep(sums, n, limit, wheelbase, track, under):
     """Pitch over the `wheelbase` and roll over `track`, the distance of the two wheel strips [m], of the swept profile
     stay under `limit`. What lies within the first `under` sections is not judged."""
-    ahead = round(wheelbase / SECTION)
-    reach = round(0.5 * SMOOTH / SECTION)
+    ahead = round(wheelbase / SECTION_LENGTH)
+    reach = round(0.5 * SLOPE_LENGTH / SECTION_LENGTH)
     for i in range(max(1, n - ahead)):
         j = i + ahead
         if j < under:
@@ -248,7 +248,7 @@ def _not_steep(sums, n, limit, wheelbase, track, under):
                 stairs += sums[k, 8]
             if stairs * rise > 0.0:
                 rise = max(abs(rise) - abs(stairs), 0.0)
-            pitch = rise / ((centre_f - centre_b) * SECTION)
+            pitch = rise / ((centre_f - centre_b) * SECTION_LENGTH)
         left = 0.0
         right = 0.0
         left_n = 0.0
@@ -292,7 +292,7 @@ def connect(
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
-    sums = np.empty((rank, COLUMNS))
+    sums = np.empty((rank, SUM_COLUMNS))
     for j in range(ny):
         for i in range(nx):
             for o in range(len(offsets)):

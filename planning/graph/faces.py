@@ -1,24 +1,24 @@
 """Faces: how high and which way the ground rises within a hand's breadth, per cell. They are better crossed head-on.
 
-A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides, or that
-goes on evenly to one side: a ridge is no face. What is so steep that wheels slide down sideways is one, and as high as
-it goes on: along it, one side of the robot on the foot of a ramp of 45 deg, robots slid 0.2 m aside. Its direction is
-the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its whole height
-in both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags` judges that.
-"""
+A face is a vector: the rise over `STEP_BASE` along x and along y, less the slope that the ground has on both sides, or
+that goes on evenly to one side: a ridge is no face. What is so steep that wheels slide down sideways is one, and as
+high as it goes on: along it, one side of the robot on the foot of a ramp of 45 deg, robots slid 0.2 m aside. Its
+direction is the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its
+whole height in both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags`
+judges that."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from planning.graph.flags import BASE
+from planning.graph.flags import STEP_BASE
 
-EVEN = 0.7
+EVEN_RATIO = 0.7
 """A slope goes on where the next rise is this share of the one here or more, the other way round too."""
-STEEPEST = 0.7
+STEEPEST_SLOPE = 0.7
 """From here [m/m] on it is no slope: stairs rise evenly as well, and tyres with a friction of 0.7 slide."""
-TREAD = 0.25
+TREAD_RATIO = 0.25
 """Where two rises meet, half of each, ground that rises by less than this share of a steep one is a tread: risers do
 not go on into each other."""
 LEAST_FACE = 0.03
@@ -40,8 +40,8 @@ def _tread(height, r, c, dr, dc, least):
 def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
     """Compute `faces` (rows, cols, 2) int16 [mm] again in the window; x and y part of each cell's face."""
     rows, cols = height.shape
-    n = max(1, round(0.5 * BASE / res))
-    steep = STEEPEST * 2 * n * res
+    n = max(1, round(0.5 * STEP_BASE / res))
+    steep = STEEPEST_SLOPE * 2 * n * res
     rises = np.zeros((2, 3), np.float32)  # per axis: here, over as much before and after
     for r in range(r0, r1):
         for c in range(c0, c1):
@@ -78,10 +78,10 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
                     if goes_on:
                         ahead = n if k == 2 else -n
                         dr, dc = (0, ahead) if along_x else (ahead, 0)
-                        if _tread(height, r, c, dr, dc, TREAD * steep):
+                        if _tread(height, r, c, dr, dc, TREAD_RATIO * steep):
                             continue
                         more += abs(beside)
-                    elif abs(rise) < steep and EVEN * abs(rise) < abs(beside) < abs(rise) / EVEN:
+                    elif abs(rise) < steep and EVEN_RATIO * abs(rise) < abs(beside) < abs(rise) / EVEN_RATIO:
                         common = max(common, min(abs(beside), abs(rise)))
                 value = min(abs(rise) + more if more > 0.0 else abs(rise) - common, 30.0)
                 faces[r, c, axis] = round(1000.0 * value) * (1 if rise > 0.0 else -1)

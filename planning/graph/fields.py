@@ -13,30 +13,35 @@ from planning.graph.faces import LEAST_FACE
 from planning.graph.flags import FIELD, POSTS
 from planning.graph.params import Window
 
-LOCAL = 0.30
+LOCAL_SIDE = 0.30
 """Side of the square in which faces are compared [m]: two to three posts."""
-SIDE, SHARE = 0.80, 0.65
+FIELD_SIDE, FIELD_SHARE = 0.80, 0.65
 """So much of a square of this side [m], larger than the wheelbase, has faces in two directions: a field. The ends of
 bars and rails, crossing ramps and rough ground have less."""
-FACES = 0.26
+LEAST_MOMENT = 0.26
 """Smaller eigenvalue of the faces' second moment, averaged over the local square, where the highest posts are 1 m
 [m^2]. It grows with their height squared."""
-EVEN, SPREAD = 0.5, 1.2
+RIM_SHARE, FIELD_SPREAD = 0.5, 1.2
 """From outside a LiDAR sees the tops of the posts alone, which lie as if they were half as high or less. So a field
 whose rim was seen goes on over ground within this distance [m] on which posts would be above this share of the least
 height, as far as that ground was seen."""
-ENTERED = 0.5
+ENTERED_WAY = 0.5
 """So much of a way [m] in a field that was not reckoned with is reason to look for another."""
-CORE = 1
+EVEN_CELLS = 1
 """Even ground is a square of this many cells on each side of one: a lane between posts and a wall is not much wider on
 the map."""
-WALL = 0.25
+WALL_HEIGHT = 0.25
 """Higher ones [m] are no posts, and nothing is compared beside them."""
 
 
 def reach(res: float) -> int:
     """Cells around a changed face in which the flag may change."""
-    return math.ceil(0.5 * SIDE / res) + math.ceil(0.5 * LOCAL / res) + math.ceil(SPREAD / res) + 2
+    return (
+        math.ceil(0.5 * FIELD_SIDE / res)
+        + math.ceil(0.5 * LOCAL_SIDE / res)
+        + math.ceil(FIELD_SPREAD / res)
+        + 2
+    )
 
 
 def mark_fields(
@@ -52,7 +57,7 @@ def mark_fields(
 
     faces: (rows, cols, 2) [mm], see `planning.graph.faces`, known around the window as far as `reach`. A field that is
     out must be seen well; for a price that part of it tells which is `trusted` (rows, cols), and the field goes on as
-    far as `SPREAD`. Sums are of whole numbers, so that a part gives exactly what the whole map gives.
+    far as `FIELD_SPREAD`. Sums are of whole numbers, so that a part gives exactly what the whole map gives.
     """
     r0, c0, r1, c1 = window
     pad = reach(res)
@@ -61,16 +66,16 @@ def mark_fields(
     out = flags[r0:r1, c0:c1]
     # Copies: a piece and a whole map would be two layouts, and the kernel would be compiled for both.
     piece = np.ascontiguousarray(faces[around]), np.ascontiguousarray(trusted[around])
-    sides = round(0.5 * LOCAL / res), round(0.5 * SIDE / res)
+    sides = round(0.5 * LOCAL_SIDE / res), round(0.5 * FIELD_SIDE / res)
 
     found = compared(piece[0], *sides)
 
     def higher(posts: float, *, parts: bool) -> NDArray[np.bool_]:
-        return fields_in(found, piece[1], parts, *sides, FACES * (1000.0 * posts) ** 2)
+        return fields_in(found, piece[1], parts, *sides, LEAST_MOMENT * (1000.0 * posts) ** 2)
 
     rim = higher(max_posts / 3.0, parts=True)
-    near = sums(rim.astype(np.int32), round(SPREAD / res)) > 0
-    uneven = higher(EVEN * max_posts / 3.0, parts=True)
+    near = sums(rim.astype(np.int32), round(FIELD_SPREAD / res)) > 0
+    uneven = higher(RIM_SHARE * max_posts / 3.0, parts=True)
     for flag, where in ((POSTS, higher(max_posts, parts=False)), (FIELD, rim | (near & uneven))):
         out[:] = np.where(where[inner], out | np.uint16(flag), out & ~np.uint16(flag))
 
@@ -87,7 +92,7 @@ def compared(faces, local, wide):
             x = np.int64(faces[r, c, 0])
             y = np.int64(faces[r, c, 1])
             size2 = x * x + y * y
-            if size2 > (1000.0 * WALL) ** 2:
+            if size2 > (1000.0 * WALL_HEIGHT) ** 2:
                 out[3, r, c] = 1
             elif size2 >= (1000.0 * LEAST_FACE) ** 2:
                 out[0, r, c], out[1, r, c], out[2, r, c] = x * x, y * y, x * y
@@ -133,14 +138,14 @@ def fields_in(found, trusted, parts, local, wide, least):
     if number == 0:  # most ground has no faces in two directions anywhere
         return out
     area, share, beside = sums(ground, wide), sums(both, wide), sums(both, local)
-    enough = (1.0 - SHARE) * (2 * wide + 1) ** 2
+    enough = (1.0 - FIELD_SHARE) * (2 * wide + 1) ** 2
     even = _even(ground, both, local)
     for r in range(rows):
         for c in range(cols):
             of_it = both[r, c] > 0 or (known[r, c] == 0 and beside[r, c] > 0)
             # beside a wall little ground is left of the square: an even lane there would count as the field beside it
             lane = found[4, r, c] > 0 and even[r, c] > 0
-            out[r, c] = of_it and not lane and area[r, c] > enough and share[r, c] > SHARE * area[r, c]
+            out[r, c] = of_it and not lane and area[r, c] > enough and share[r, c] > FIELD_SHARE * area[r, c]
     return out
 
 
@@ -153,11 +158,11 @@ def _even(ground, both, local):
     for r in range(rows):
         for c in range(cols):
             uneven[r, c] = both[r, c] > 0 or ground[r, c] == 0
-    near = sums(uneven, np.int64(CORE))
+    near = sums(uneven, np.int64(EVEN_CELLS))
     for r in range(rows):
         for c in range(cols):
             uneven[r, c] = near[r, c] == 0
-    return sums(uneven, CORE + local)
+    return sums(uneven, EVEN_CELLS + local)
 
 
 @njit(cache=True)

@@ -14,7 +14,7 @@ from hal.npzfile import read_npz
 from planning.errors import PlanningError
 from planning.graph.params import GraphParams
 
-FORMAT = 4
+FILE_FORMAT = 4
 """Version of the layout; `read_graph` refuses others."""
 _ARRAYS: dict[str, tuple[type, str, int]] = {
     "nodes": (np.float64, "node", 2),
@@ -35,7 +35,7 @@ _ARRAYS: dict[str, tuple[type, str, int]] = {
 def write_graph(path: str | Path, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
     """Write header and arrays. The suffix is not changed."""
     with Path(path).open("wb") as file:
-        text = json.dumps(header | {"format": FORMAT})
+        text = json.dumps(header | {"format": FILE_FORMAT})
         np.savez_compressed(
             file, allow_pickle=False, header=np.array(text), **{n: arrays[n] for n in _ARRAYS}
         )
@@ -47,14 +47,14 @@ def read_graph(path: str | Path) -> tuple[dict[str, Any], GraphParams, dict[str,
         data = read_npz(path)
         header = json.loads(str(data["header"]))
         found = header["format"]
-        arrays = {name: data[name] for name in _ARRAYS} if found == FORMAT else {}
+        arrays = {name: data[name] for name in _ARRAYS} if found == FILE_FORMAT else {}
     except FileNotFoundError as error:
         raise PlanningError(f"there is no file {path}") from error
     except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise PlanningError(f"{path} is not a traversal graph file: {error}") from error
-    if found != FORMAT:
+    if found != FILE_FORMAT:
         raise PlanningError(
-            f"{path}: graph format {found}, this program reads {FORMAT}: build the graph again"
+            f"{path}: graph format {found}, this program reads {FILE_FORMAT}: build the graph again"
         )
     try:
         params = GraphParams(**header["params"])

@@ -1,10 +1,9 @@
 """Per-cell terrain flags of the corrected graph: faces too high to drive over, ground that was not seen.
 
 A ramp is a slope over the length of the robot, a step is a height difference over a hand's breadth. Steps are measured
-between cells `BASE` apart, in four directions, averaged along the edge of the step (so noise averages out and a wall
-one cell thick stays), less the slope that the ground has on BOTH sides of the step (so a ramp is no step, and a ledge
-at the foot of a ramp keeps its height).
-"""
+between cells `STEP_BASE` apart, in four directions, averaged along the edge of the step (so noise averages out and a
+wall one cell thick stays), less the slope that the ground has on BOTH sides of the step (so a ramp is no step, and a
+ledge at the foot of a ramp keeps its height)."""
 
 from __future__ import annotations
 
@@ -46,26 +45,26 @@ FIELD = 1024
 PLANTS = 2048
 """Ground under leaves (`ElevationGrid.plants`): driven on slowly, at a price (`planning.graph.edges`)."""
 
-BASE = 0.12
+STEP_BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
-LATERAL = 0.10
+STEP_LATERAL = 0.10
 """Length along the step over which it is averaged [m]."""
 STEP_TOLERANCE = 0.015
 """A step this much above the limit is still within it [m]: three sigma of an averaged step on a 1 cm noise map, so that
 a kerb of exactly the limit is not blocked here and there."""
-OUTLIER = 0.06
+CELL_OUTLIER = 0.06
 """One cell alone may be this far off [m] (scan returns at edges are, by 3-5 cm)."""
-WIDE = 2.4
+WIDE_RATIO = 2.4
 """A pit in which a square of so many times the gap limit fits is wide: at 0.1 m more than two posts of a stepfield."""
 UNSEEN_STEP = 0.40
 """Steps between two cells that are both not trusted count from here [m]: filled-in heights meet in false steps."""
-BLOCK = 256
+BLOCK_CELLS = 256
 
 
 def halo(res: float, max_gap: float) -> int:
     """Cells around a changed cell whose flags it may change."""
     gap = _gap_cells(res, max_gap)
-    step = 2 * round(BASE / res) + round(0.5 * LATERAL / res) + 2 * gap + 3
+    step = 2 * round(STEP_BASE / res) + round(0.5 * STEP_LATERAL / res) + 2 * gap + 3
     return max(step, 5 * gap + 2)
 
 
@@ -93,15 +92,15 @@ def update_flags(
     """
     rows, cols = height.shape
     pad = halo(res, max_gap)
-    for r0 in range(window[0], window[2], BLOCK):
-        for c0 in range(window[1], window[3], BLOCK):
-            r1, c1 = min(r0 + BLOCK, window[2]), min(c0 + BLOCK, window[3])
+    for r0 in range(window[0], window[2], BLOCK_CELLS):
+        for c0 in range(window[1], window[3], BLOCK_CELLS):
+            r1, c1 = min(r0 + BLOCK_CELLS, window[2]), min(c0 + BLOCK_CELLS, window[3])
             ra, ca = max(0, r0 - pad), max(0, c0 - pad)
             rb, cb = min(rows, r1 + pad), min(cols, c1 + pad)
             # Copies: a piece and a whole map would be two layouts, and the kernel would be compiled for both.
             piece = np.ascontiguousarray(height[ra:rb, ca:cb]), np.ascontiguousarray(trusted[ra:rb, ca:cb])
             ground = *piece, np.ascontiguousarray(virtual[ra:rb, ca:cb]), res
-            rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE * max_gap / res)
+            rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE_RATIO * max_gap / res)
             inner = np.s_[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
             enter, stay = (found[inner] for found in cell_flags(*ground, max_step, keep_step, *rest))
             _put(flags[r0:r1, c0:c1], enter, stay, ground[1][inner])
@@ -154,8 +153,8 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
         dr = 0 if direction == 0 else 1
         dc = (1, 0, 1, -1)[direction]
         scale = res if direction < 2 else res * math.sqrt(2.0)
-        n = max(1, round(BASE / scale))
-        side = round(0.5 * LATERAL / scale) if res < 0.075 else 0
+        n = max(1, round(STEP_BASE / scale))
+        side = round(0.5 * STEP_LATERAL / scale) if res < 0.075 else 0
         # diff at c: from c to c + n; the largest decides whether there is anything to do in this direction
         most = np.float32(0.0)
         diff[:] = 0.0
@@ -195,7 +194,7 @@ def _mark_steps(flags, z, diff, trusted, below, dr, dc, n, side, limit, slope_ca
                 continue
             mean = _mean(diff, r, c, lr, lc, side, limit)
             step = abs(mean)
-            if step <= limit and own <= limit + OUTLIER:
+            if step <= limit and own <= limit + CELL_OUTLIER:
                 continue
             # slope common to both sides
             slope = 0.0
@@ -208,7 +207,7 @@ def _mark_steps(flags, z, diff, trusted, below, dr, dc, n, side, limit, slope_ca
                 after = _mean(diff, rb, cb, lr, lc, side, limit)
                 common = min(before, after) if mean > 0.0 else -max(before, after)
                 slope = min(max(common, 0.0), slope_cap)
-            if step - slope <= limit and own - slope <= limit + OUTLIER:
+            if step - slope <= limit and own - slope <= limit + CELL_OUTLIER:
                 continue
             if not (trusted[r, c] or trusted[rb, cb]) and max(step, own) <= UNSEEN_STEP:
                 continue
@@ -279,10 +278,9 @@ def _mean(diff, r, c, lr, lc, side, limit):
 def _mark_tips(z, wide, height, flags, gap, limit):
     """Mark the bridged tips of a wide pit's corners: the robot has to go around them, as around the pit.
 
-    A pit is wide (`WIDE`) when a larger closing, `wide`, leaves a floor in it; the holes of a stepfield are not, and
-    their neighbours may be crossed. Of what is bridged, that within a gap's width of the floor is a tip; beyond it a
-    crack leads away, which may be crossed too.
-    """
+    A pit is wide (`WIDE_RATIO`) when a larger closing, `wide`, leaves a floor in it; the holes of a stepfield are not,
+    and their neighbours may be crossed. Of what is bridged, that within a gap's width of the floor is a tip; beyond it
+    a crack leads away, which may be crossed too."""
     rows, cols = z.shape
     cells = [(0, 0) for _ in range(0)]
     for r in range(rows):

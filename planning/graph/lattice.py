@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.graph.blind import assume_blind
-from planning.graph.cells import OFFSETS, Cells
+from planning.graph.cells import NEIGHBOUR_OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
-from planning.graph.edge_price import BEYOND
+from planning.graph.edge_price import TRACK_BEYOND
 from planning.graph.edge_risk import F32, window_minmax
-from planning.graph.edges import MARGIN, SECTION, connect
+from planning.graph.edges import CORRIDOR_MARGIN, SECTION_LENGTH, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
 from planning.graph.flags import PLANTS, TIP, halo, update_flags
@@ -28,10 +28,10 @@ from planning.graph.params import GraphParams, Window, merge_windows
 from planning.graph.prices import prices_of
 from planning.graph.reachable import Built, reachable
 
-REACH = 2.0
+EDGE_REACH = 2.0
 """Longest edge, in lattice cells: expand_dist + robot_size, the native bound. Long edges keep narrow passages
 connected."""
-SAMPLES = 512
+SAMPLE_COUNT = 512
 """As many as node ids tell apart; the next one is the first again."""
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,14 +63,14 @@ class Lattice:
         """Nodes from another sample, and their edges, in the lattice cells that `boxes` touch (k, 4: x0, y0, x1, y1
         [m])."""
         for box in boxes:
-            self.cells.drawn[self.cells.within(box, 0.0)] = sample % SAMPLES
+            self.cells.drawn[self.cells.within(box, 0.0)] = sample % SAMPLE_COUNT
         moved, unchanged = self._nodes(grid, boxes), np.empty((0, 4))
         self._edges(grid, unchanged, moved, version)
         self._describe(grid, unchanged, moved, version)
 
     def reachable(self, grid: ElevationGrid, start: tuple[float, float], before: NDArray[np.int64]) -> Built:
         """See `planning.graph.reachable`: within the longest straight move from `start`."""
-        return reachable(self.cells, grid, start, REACH * self.cells.side, before)
+        return reachable(self.cells, grid, start, EDGE_REACH * self.cells.side, before)
 
     def _flags(self, grid: ElevationGrid, windows: Sequence[Window]) -> Array:
         """Step 1: what is a face, what was not seen. -> (k, 4) boxes x0, y0, x1, y1 [m] in which flags may have
@@ -140,12 +140,12 @@ class Lattice:
         """Step 3: test every edge with a moved end or near `boxes`."""
         p, cells = self.params, self.cells
         xs, ys = _axes(grid)
-        rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
+        rank = math.ceil((EDGE_REACH * self.side + p.length + 2.0 * CORRIDOR_MARGIN) / SECTION_LENGTH) + 2
         connect(
-            grid.height, cells.flags, cells.faces, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where, OFFSETS,
-            REACH * self.side, moved, boxes, self._beside, rank, p.length, p.width, math.tan(p.max_slope),
-            p.max_gap, p.min_coverage, F32(p.robot_size), self.prices, cells.risk, cells.price, cells.edge_revision,
-            version,
+            grid.height, cells.flags, cells.faces, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where,
+            NEIGHBOUR_OFFSETS, EDGE_REACH * self.side, moved, boxes, self._beside, rank, p.length, p.width,
+            math.tan(p.max_slope), p.max_gap, p.min_coverage, F32(p.robot_size), self.prices, cells.risk, cells.price,
+            cells.edge_revision, version,
         )  # fmt: skip
 
     def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:
@@ -169,14 +169,14 @@ class Lattice:
     def _around(self) -> float:
         """[m] from a node within which terrain matters to it."""
         p = self.params
-        return max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, p.robot_size) + self.cells.res
+        return max(0.5 * math.hypot(p.length, p.width) + 2.0 * CORRIDOR_MARGIN, p.robot_size) + self.cells.res
 
     @property
     def _beside(self) -> float:
         """[m] from an edge's end within which terrain matters to it: the wheels' tracks are looked at before and after
         it."""
         p = self.params
-        return max(self._around, math.hypot(p.axle + BEYOND, p.tread) + self.cells.res)
+        return max(self._around, math.hypot(p.axle + TRACK_BEYOND, p.tread) + self.cells.res)
 
 
 def _axes(grid: ElevationGrid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

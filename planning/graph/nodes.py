@@ -20,9 +20,9 @@ CLEAR_LEVELS = (0.45, 0.36, 0.28)
 """Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes. Nodes
 with less than the best move away from what is near: to where edges in more directions fit, and in a passage to its
 middle, so that edges along it are parallel to its walls."""
-TRIES = 6
+CANDIDATE_TRIES = 6
 """Valid candidates looked at beside an obstacle."""
-CORE = 0.5
+CORE_SHARE = 0.5
 """The first half of a cell's candidates lie in its inner part of this width: evenly spaced nodes on open ground."""
 
 
@@ -43,8 +43,8 @@ def candidate(seed, ix, iy, k, samples, side):
     u = float(h >> np.uint64(32)) / 4294967296.0
     v = float(h & np.uint64(0xFFFFFFFF)) / 4294967296.0
     if 2 * k < samples:
-        u = 0.5 + CORE * (u - 0.5)
-        v = 0.5 + CORE * (v - 0.5)
+        u = 0.5 + CORE_SHARE * (u - 0.5)
+        v = 0.5 + CORE_SHARE * (v - 0.5)
     return (ix + u) * side, (iy + v) * side
 
 
@@ -203,7 +203,7 @@ def place_nodes(
                     level += 1
                 tried += 1
                 if level >= best_level:
-                    if tried == TRIES:
+                    if tried == CANDIDATE_TRIES:
                         break
                     continue
                 if disc_blocked(

@@ -25,28 +25,28 @@ ENDING = ("fell", "stuck", "touched")
 SLIDES_END = 0.25
 """Share of the slides that do, beside or on a face: the robot stands astride then, and may fall in the next turn. On
 stairs none did: the tracker leads the robot back. By the kerb lanes of decision 28."""
-SPREAD = math.sqrt(3.0)
+POINT_SPREAD = math.sqrt(3.0)
 """Of the outer points, in standard deviations."""
-MIDDLE, OUTER = 2.0 / 3.0, 1.0 / 6.0
+MIDDLE_WEIGHT, OUTER_WEIGHT = 2.0 / 3.0, 1.0 / 6.0
 """Weights of the points."""
 MAP_SIGMA = 0.01
 """Standard deviation of a face on the map [m]."""
-SIZE_STEP, SIZES = 0.01, 36
+SIZE_STEP, SIZE_COUNT = 0.01, 36
 """Heights and widths of the tables [m]: 0 to 0.35, beyond which nothing was tried."""
-TREAD_STEP, LEAST_TREAD, TREADS = 0.02, 0.20, 8
+TREAD_STEP, LEAST_TREAD, TREAD_COUNT = 0.02, 0.20, 8
 """Depths of treads of the tables [m]: 0.20 to 0.34, deeper ones are no easier."""
-FLIGHT = 8
+FLIGHT_RISERS = 8
 """Risers from one landing to the next, half a storey: nothing turns round between them, so they are one motion."""
 LONGEST_TREAD = 0.45
 """Faces up, or down, that are so far apart [m] at most are stairs."""
-ANGLE_STEP, ANGLES = math.radians(5.0), 37
+ANGLE_STEP, ANGLE_COUNT = math.radians(5.0), 37
 """Angles of the tables [rad]: 0 to 180 deg."""
 POSTS_SPEED = 0.5
 """At which posts are driven over [m/s]."""
 
 
 class Prices(NamedTuple):
-    """Prices by size (`SIZES`) and angle (`ANGLES`)."""
+    """Prices by size (`SIZE_COUNT`) and angle (`ANGLE_COUNT`)."""
 
     measured: bool
     """Whether they come from an envelope. Without one stairs are a slope."""
@@ -84,12 +84,12 @@ def free(axle: float, tread: float, radius: float) -> Prices:
     """Where nothing has a price: the paper's cost."""
     return Prices(
         False,
-        np.zeros((2, 2, SIZES, ANGLES)),
-        np.zeros((2, SIZES, TREADS, ANGLES)),
-        np.zeros((ANGLES, ANGLES)),
-        np.zeros((2, SIZES, ANGLES)),
-        np.zeros(SIZES),
-        np.zeros(SIZES),
+        np.zeros((2, 2, SIZE_COUNT, ANGLE_COUNT)),
+        np.zeros((2, SIZE_COUNT, TREAD_COUNT, ANGLE_COUNT)),
+        np.zeros((ANGLE_COUNT, ANGLE_COUNT)),
+        np.zeros((2, SIZE_COUNT, ANGLE_COUNT)),
+        np.zeros(SIZE_COUNT),
+        np.zeros(SIZE_COUNT),
         axle,
         tread,
         radius,
@@ -112,8 +112,8 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
         return free(axle, tread, radius)
     envelope = stored(controller)
     share = {name: ending(name, *envelope.tables(name)) for name in envelope.manoeuvres}
-    size = np.arange(SIZES) * SIZE_STEP
-    angle = np.arange(ANGLES) * ANGLE_STEP
+    size = np.arange(SIZE_COUNT) * SIZE_STEP
+    angle = np.arange(ANGLE_COUNT) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
     out = free(axle, tread, radius)._replace(measured=True)
 
@@ -123,16 +123,16 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
         return fall_cost * hazards(envelope, name, sigma, *values, share=share[name])
 
     across = np.minimum(angle, np.pi - angle)
-    barred = np.zeros((SIZES, TREADS, 1), np.bool_)
+    barred = np.zeros((SIZE_COUNT, TREAD_COUNT, 1), np.bool_)
     for way, name in enumerate(("up", "down")):
         for back, prefix in enumerate(("", "back_")):
             out.face[way, back] = 0.25 * price(prefix + name, MAP_SIGMA, size[:, None], across, 0.0)
         stairs = f"stairs_{name}"
-        riser, depth, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREADS), across)
+        riser, depth, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREAD_COUNT), across)
         out.stairs[way] = 0.25 * price(stairs, MAP_SIGMA, riser, depth, askew)
         if stairs in envelope.manoeuvres:
             ends = share[stairs] * envelope.bound(stairs, riser, depth, 0.0)
-            barred |= 1.0 - (1.0 - ends) ** FLIGHT > MAX_RISK
+            barred |= 1.0 - (1.0 - ends) ** FLIGHT_RISERS > MAX_RISK
     out.stairs[:, barred[..., 0]] = np.inf
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)
     for k, name in enumerate(("bend", "spin")):
@@ -153,8 +153,8 @@ def hazards(
     Hermite with three points, exact for the first five moments of the height), times `share`. What is no way is the
     business of `Envelope.hazard`.
     """
-    height, aside = np.asarray(height, np.float64), SPREAD * np.asarray(sigma, np.float64)
-    p = MIDDLE * envelope.mean(name, height, *rest) + OUTER * (
+    height, aside = np.asarray(height, np.float64), POINT_SPREAD * np.asarray(sigma, np.float64)
+    p = MIDDLE_WEIGHT * envelope.mean(name, height, *rest) + OUTER_WEIGHT * (
         envelope.mean(name, np.maximum(height - aside, 0.0), *rest)
         + envelope.mean(name, height + aside, *rest)
     )
@@ -177,16 +177,16 @@ def ending(name: str, *tables: Table) -> float:
 @njit(cache=True)
 def size_at(size: float) -> int:
     """Row of a table for a height or width [m]."""
-    return min(int(abs(size) / SIZE_STEP + 0.5), SIZES - 1)
+    return min(int(abs(size) / SIZE_STEP + 0.5), SIZE_COUNT - 1)
 
 
 @njit(cache=True)
 def angle_at(angle: float) -> int:
     """Column of a table for an angle [rad] from -pi to pi."""
-    return min(int(abs(angle) / ANGLE_STEP + 0.5), ANGLES - 1)
+    return min(int(abs(angle) / ANGLE_STEP + 0.5), ANGLE_COUNT - 1)
 
 
 @njit(cache=True)
 def tread_at(tread: float) -> int:
     """Column of a table for the depth of a tread [m]."""
-    return min(max(int((tread - LEAST_TREAD) / TREAD_STEP + 0.5), 0), TREADS - 1)
+    return min(max(int((tread - LEAST_TREAD) / TREAD_STEP + 0.5), 0), TREAD_COUNT - 1)

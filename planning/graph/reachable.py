@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mapping.grid import ElevationGrid
-from planning.graph.cells import OFFSETS, Cells
+from planning.graph.cells import NEIGHBOUR_OFFSETS, Cells
 from planning.graph.describe import in_sight
 from planning.graph.edge_risk import nearest_height
 
@@ -39,7 +39,9 @@ def reachable(
     index = np.full(cells.chosen.shape, -1, dtype=np.int64)
     index[j, i] = np.arange(len(j))
     ej, ei, eo = np.nonzero(cells.risk >= 0.0)
-    edges = np.stack([index[ej, ei], index[ej + OFFSETS[eo, 0], ei + OFFSETS[eo, 1]]], axis=1)
+    edges = np.stack(
+        [index[ej, ei], index[ej + NEIGHBOUR_OFFSETS[eo, 0], ei + NEIGHBOUR_OFFSETS[eo, 1]]], axis=1
+    )
     xy, ids = cells.where[j, i], cells.ids(j, i)
     joined = coo_array((np.ones(len(edges), np.bool_), edges.T), shape=(len(j), len(j)))
     label = connected_components(joined, directed=False)[1]

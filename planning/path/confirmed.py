@@ -17,27 +17,27 @@ from planning.graph.params import GraphParams
 from planning.path.types import Path
 from planning.search.guarded import drives_over, known_around
 
-LEAD = -0.06
+WHEEL_LEAD = -0.06
 """From this beyond their axle [m] to their radius beyond it the wheels that lead touch the ground."""
-SPACING = 0.04
-LEAST, TURN = 0.06, 1.0
+SAMPLE_SPACING = 0.04
+LEAST_LENGTH, LOOKING_TURN = 0.06, 1.0
 """A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to
 both sides."""
-AHEAD, ROUND = 0.10, 0.25
+HIDDEN_AHEAD, HIDDEN_RADIUS = 0.10, 0.25
 """[m] from the front of the body to what it cannot see, and around that."""
-BACK = 0.12
+BACK_SPARE = 0.12
 """[m] A path backward ends where less is left to what nobody saw: the guard creeps before it and holds."""
-UNSEEN = 0.2
+UNSEEN_SPEED = 0.2
 """[m/s] where a part of the ground under the leading wheels was not seen, or of that under the body is under leaves: a
 post in grass is felt by the body first."""
 TURN_SPACING = 0.05
 """[rad] between places that are looked at."""
-DRIFT = 0.07
+TURN_DRIFT = 0.07
 """[m] ahead and aside by which a wheel may come farther out while the robot turns on the spot: it drifted by 0.08 m
 beside a pit that nobody saw, and fell."""
-BENDS = 0.3
+BEND_BEGINS = 0.3
 """[rad] A robot whose heading is off by less begins with a bend: the tracker turns from 0.35 on."""
-STAND = (0.04, 0.05)
+STAND_MARGIN = (0.04, 0.05)
 """[m] beyond the axle and beside the body that count as seen at the start: its wheels stand there. What lies under its
 nose does not."""
 
@@ -60,31 +60,31 @@ def confirmed(
     share = _hidden_share(path, sign, graph, width)
     blocked = share > 1.0 - (graph.params.min_coverage if coverage is None else coverage)
     first = int(np.argmax(blocked)) if blocked.any() else len(blocked)
-    every = max(1, round(SPACING / path.limits.spacing))
+    every = max(1, round(SAMPLE_SPACING / path.limits.spacing))
     for k in np.flatnonzero(sign[:first] < 0.0)[::every]:
-        if _behind(grid, path, int(k), graph.params) < BACK:
+        if _behind(grid, path, int(k), graph.params) < BACK_SPARE:
             blocked[k] = True
             break
-    path = path.slowed(share > 0.0, UNSEEN)
+    path = path.slowed(share > 0.0, UNSEEN_SPEED)
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path
 
 
 def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
-    """The path, driven at `UNSEEN` where a part of the body is over grass, or half a body before it."""
+    """The path, driven at `UNSEEN_SPEED` where a part of the body is over grass, or half a body before it."""
     cells = graph.cells
     assert cells is not None
     leaves = cells.flags & PLANTS > 0
     if not leaves.any():
         return path
     length, width = graph.params.length, graph.params.width
-    reach = 0.5 * length + SPACING
-    along = np.linspace(-reach, reach, round(2.0 * reach / SPACING) + 1)
-    across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
+    reach = 0.5 * length + SAMPLE_SPACING
+    along = np.linspace(-reach, reach, round(2.0 * reach / SAMPLE_SPACING) + 1)
+    across = np.linspace(-width / 2, width / 2, round(width / SAMPLE_SPACING) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x, y = path.points[:, :1] + u * c - v * s, path.points[:, 1:2] + u * s + v * c
     share = at_places(leaves, x, y, cells.origin, cells.res).mean(axis=1)
-    return path.slowed(share > 0.0, UNSEEN)
+    return path.slowed(share > 0.0, UNSEEN_SPEED)
 
 
 def _sign(path: Path) -> NDArray[np.float64]:
@@ -99,8 +99,8 @@ def _hidden_share(
 ) -> NDArray[np.float64]:
     """(n,) how much of the ground under the leading wheels is virtual; what the robot stands on at the begin is not."""
     p = graph.params
-    along = np.arange(p.axle + LEAD, p.axle + p.radius + 1e-9, SPACING)
-    across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
+    along = np.arange(p.axle + WHEEL_LEAD, p.axle + p.radius + 1e-9, SAMPLE_SPACING)
+    across = np.linspace(-width / 2, width / 2, round(width / SAMPLE_SPACING) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x = path.points[:, :1] + sign[:, None] * u * c - v * s
@@ -123,18 +123,18 @@ def _hidden(
     virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
     c, s = math.cos(yaw), math.sin(yaw)
     dx, dy = x - path.points[0, 0], y - path.points[0, 1]
-    under = (np.abs(c * dx + s * dy) <= graph.params.axle + STAND[0]) & (
-        np.abs(c * dy - s * dx) <= width / 2 + STAND[1]
+    under = (np.abs(c * dx + s * dy) <= graph.params.axle + STAND_MARGIN[0]) & (
+        np.abs(c * dy - s * dx) <= width / 2 + STAND_MARGIN[1]
     )
     return at_places(virtual, x, y, cells.origin, cells.res) & ~under
 
 
 def _behind(grid: ElevationGrid, path: Path, k: int, params: GraphParams) -> float:
-    """[m] behind the body at point `k` of the path up to ground that the map does not know, as far as `BACK`."""
+    """[m] behind the body at point `k` of the path up to ground that the map does not know, as far as `BACK_SPARE`."""
     x, y, _ = path.points[k].tolist()
     around = known_around(grid, (x, y), params.length + params.max_gap)
     body = Body.of(drives_over(params))
-    return known_behind(around, (x, y, float(path.yaw[k])), body, params.max_gap, BACK)
+    return known_behind(around, (x, y, float(path.yaw[k])), body, params.max_gap, BACK_SPARE)
 
 
 def backs_up(path: Path) -> bool:
@@ -151,9 +151,9 @@ def drivable(
     if crept and _turns_onto_hidden(path, graph, width):
         return None
     part = confirmed(path, graph, grid, width, 1.0 if crept else None)
-    if part.length >= min(LEAST, path.length):
+    if part.length >= min(LEAST_LENGTH, path.length):
         return part
-    return None if abs(path.initial_turn or 0.0) < TURN else path.until(1)
+    return None if abs(path.initial_turn or 0.0) < LOOKING_TURN else path.until(1)
 
 
 def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> Path | None:
@@ -166,7 +166,7 @@ def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> P
     if _turns_onto_hidden(path, graph, width):
         return None
     last = int(np.argmax(end)) - 1 if end.any() else len(end) - 1
-    if path.s[max(last, 0)] < min(LEAST, path.length):
+    if path.s[max(last, 0)] < min(LEAST_LENGTH, path.length):
         return None
     return path.until(last).slowed(np.ones(last + 1, np.bool_), creep)
 
@@ -174,11 +174,15 @@ def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> P
 def _turns_onto_hidden(path: Path, graph: TraversalGraph, width: float) -> bool:
     """Whether the turn on the spot before a path may lead a wheel onto virtual ground."""
     turn = path.initial_turn or 0.0
-    if graph.cells is None or abs(turn) < BENDS:
+    if graph.cells is None or abs(turn) < BEND_BEGINS:
         return False
     angles = path.yaw[0] - np.linspace(turn, 0.0, math.ceil(abs(turn) / TURN_SPACING) + 1)[:, None]
     p = graph.params
-    axle, tread, wheel = p.axle + DRIFT, p.tread + DRIFT, (-p.tread_width / 2, 0.0, p.tread_width / 2)
+    axle, tread, wheel = (
+        p.axle + TURN_DRIFT,
+        p.tread + TURN_DRIFT,
+        (-p.tread_width / 2, 0.0, p.tread_width / 2),
+    )
     u, v = (a.ravel() for a in np.meshgrid((-axle, axle), np.add.outer((-tread, tread), wheel).ravel()))
     x = path.points[0, 0] + u * np.cos(angles) - v * np.sin(angles)
     y = path.points[0, 1] + u * np.sin(angles) + v * np.cos(angles)
@@ -187,8 +191,8 @@ def _turns_onto_hidden(path: Path, graph: TraversalGraph, width: float) -> bool:
 
 def ahead_of(path: Path, length: float) -> tuple[float, float, float]:
     """x, y, radius [m] of a disc on the way ahead of a robot so long [m] at its begin, for others to keep off."""
-    k = min(int(np.searchsorted(path.s, 0.5 * length + AHEAD)), len(path.points) - 1)
-    return float(path.points[k, 0]), float(path.points[k, 1]), ROUND
+    k = min(int(np.searchsorted(path.s, 0.5 * length + HIDDEN_AHEAD)), len(path.points) - 1)
+    return float(path.points[k, 0]), float(path.points[k, 1]), HIDDEN_RADIUS
 
 
 def is_hidden(graph: TraversalGraph, x: float, y: float) -> bool:

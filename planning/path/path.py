@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
-from planning.braking import FOLD
+from planning.braking import FOLD_ANGLE
 from planning.path.speed import speeds
 from planning.path.spline import rounded
 from planning.path.types import Path, PathLimits
@@ -113,7 +113,7 @@ def rest_of(
     ahead = path.ahead(x, y)
     assert ahead is not None, "the robot is on the path"
     near = path.s <= path.s[k] + 2.0 * path.limits.corridor
-    folds = np.flatnonzero(near[1:] & (np.abs(wrap(np.diff(path.yaw))) > FOLD))
+    folds = np.flatnonzero(near[1:] & (np.abs(wrap(np.diff(path.yaw))) > FOLD_ANGLE))
     k = max(k, int(folds[0]) + 1) if len(folds) else k
     poses = np.column_stack([path.points[k:, :2], path.yaw[k:]])
     if terrain is None:

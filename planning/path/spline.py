@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-BLEND = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+SPLINE_BLEND = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 """Uniform cubic B-spline: powers of t (rows) times control points (columns)."""
 
 
@@ -91,7 +91,7 @@ def _sampled(
         t = np.linspace(0.0, 1.0, n + 1)[1:]
         powers = np.broadcast_to(np.vander(t, 4, increasing=True), (len(at), n, 4))
         where = first[mine][:, None] + np.arange(n)
-        xy[where] = powers @ (BLEND @ control[at[:, None] + np.arange(4)])
+        xy[where] = powers @ (SPLINE_BLEND @ control[at[:, None] + np.arange(4)])
         own[where] = np.where(t < 0.5, owner[at + 1][:, None], owner[at + 2][:, None])
     corner[first[1:] - 1] = (control[spans + 1] == control[spans + 3]).all(axis=1)
     return xy, own, corner

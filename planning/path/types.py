@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from planning.braking import FOLD, brake
+from planning.braking import FOLD_ANGLE, brake
 
 Array = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ class Path:
 
 def _folded(leg: Array, after: Array) -> bool:
     """Whether the way turns round between two legs, (2,) [m] each."""
-    return float(leg @ after) < math.cos(FOLD) * float(np.hypot(*leg) * np.hypot(*after))
+    return float(leg @ after) < math.cos(FOLD_ANGLE) * float(np.hypot(*leg) * np.hypot(*after))
 
 
 def _passed(places: Array, points: Array, last: int) -> int:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.graph.fields import ENTERED
+from planning.graph.fields import ENTERED_WAY
 from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
 from planning.path.confirmed import at_places
@@ -83,7 +83,7 @@ def new_field(path: Path, graph: TraversalGraph, before: NDArray[np.bool_]) -> s
         return ""
     new = now & ~before[-len(now) :]
     step = np.hypot(*np.diff(path.watched[:, :2], axis=0, append=path.watched[-1:, :2]).T)
-    if float(step[new].sum()) < ENTERED:
+    if float(step[new].sum()) < ENTERED_WAY:
         return ""
     x, y, _ = path.watched[int(np.argmax(new))]
     return f"a stepfield begins at ({x:.2f}, {y:.2f})"

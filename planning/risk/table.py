@@ -14,7 +14,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.arcs import Arcs, arcs_of
 from planning.risk.body import BodyModel, terrain_of, weights_of
 from planning.risk.tables import Tables, carry_turns, evaluate_edges
-from planning.risk.terrain import NOTHING, Changed, Sampler, Terrain, changed_cells
+from planning.risk.terrain import NO_CHANGE, Changed, Sampler, Terrain, changed_cells
 
 MOST_TURNS = 1_000_000
 """Rows of turns that are kept for the next query: 16 MB."""
@@ -113,7 +113,7 @@ class RiskTable:
 
     def take_back(self, query: RiskTable) -> None:
         """A table that `for_query` made, with what it evaluated."""
-        self._arcs, self._tables, self._known, self._changed = None, {}, query, NOTHING
+        self._arcs, self._tables, self._known, self._changed = None, {}, query, NO_CHANGE
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
         """True while the table belongs to these inputs."""

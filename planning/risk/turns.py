@@ -8,9 +8,9 @@ from numba import njit
 
 from planning.graph.describe import HEADING_STEP, turn_is_free
 
-BEND = math.radians(30.0)
+BEND_ANGLE = math.radians(30.0)
 """Larger turns [rad] are made on the spot."""
-ASKEW = 0.05
+STRAIGHT_ANGLE = 0.05
 """Straight moves were tried up to so much off their heading [rad] (`hal.envelope`): a bend counts beyond it."""
 
 
@@ -19,8 +19,8 @@ def turn_cost(bend: float, spin: float, turn: float, each: float) -> float:
     """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `bend` or `spin` [m/rad] for
     what is under the wheels (`TraversalGraph.turn_price`)."""
     size = abs(turn)
-    if size <= BEND:
-        return each * size + bend * max(size - ASKEW, 0.0)
+    if size <= BEND_ANGLE:
+        return each * size + bend * max(size - STRAIGHT_ANGLE, 0.0)
     return (each + spin) * size
 
 

@@ -20,28 +20,28 @@ from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_price
 from planning.graph.edge_risk import F32, height_near
-from planning.graph.edges import COLUMNS, MARGIN, SECTION, move
+from planning.graph.edges import CORRIDOR_MARGIN, SECTION_LENGTH, SUM_COLUMNS, move
 from planning.graph.flags import FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
-from planning.graph.lattice import REACH
+from planning.graph.lattice import EDGE_REACH
 from planning.graph.prices import prices_of
-from planning.risk.turns import BEND
+from planning.risk.turns import BEND_ANGLE
 from planning.search.guarded import guarded_turn, without
 
 XY = tuple[float, float]
-STAND = 0.05
+STAND_MARGIN = 0.05
 """Beside the robot's own footprint [m] that counts as free: it stands there, whatever the noise of the map says."""
-SAME = 0.05
+SAME_PLACE = 0.05
 """A node this near to a place [m] is that place: a move this short has no direction worth turning to."""
-ALONG = math.radians(20.0)
+ALONG_ANGLE = math.radians(20.0)
 """The robot stands along a move that leads so little aside [rad]."""
 DEAR_BEND = 5.0
 """[m/rad] A robot that can bend its way at this price only drives straight on, if there is a way."""
-AHEAD = (0.5, 1.0, -0.5, -1.0)
+PLACES_AHEAD = (0.5, 1.0, -0.5, -1.0)
 """[body lengths] Places ahead and behind of a start that can hardly turn; they become nodes as well."""
-ASIDE = (-12.0, -6.0, 0.0, 6.0, 12.0)
+PLACES_ASIDE = (-12.0, -6.0, 0.0, 6.0, 12.0)
 """[deg] from its heading."""
-NEAREST = 8
+NEAREST_NODES = 8
 """Nodes around a goal that cannot be reached from which the way nearest to it is looked for."""
 
 
@@ -109,12 +109,12 @@ class Ground:
         self.graph, self._grid = graph, grid
         self._cells: Cells = graph.cells
         self._flags = self._cells.flags
-        self.reach = REACH * self._cells.side + SAME
+        self.reach = EDGE_REACH * self._cells.side + SAME_PLACE
         rows, cols = grid.shape
         self._xs = (grid.origin[0] + np.arange(cols) * grid.resolution).astype(np.float32)
         self._ys = (grid.origin[1] + np.arange(rows) * grid.resolution).astype(np.float32)
-        rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
-        self._sums = np.empty((rank, COLUMNS))
+        rank = math.ceil((self.reach + graph.params.length + 2.0 * CORRIDOR_MARGIN) / SECTION_LENGTH) + 2
+        self._sums = np.empty((rank, SUM_COLUMNS))
         self._stand = stand
         self._prices = prices_of(graph.params)
         if stand is not None:
@@ -125,10 +125,10 @@ class Ground:
         """Clear what lies under the robot at this pose; at any heading (NaN) under its inner circle."""
         p = self.graph.params
         length, width = (p.width, p.width) if math.isnan(yaw) else (p.length, p.width)
-        rows, cols, dx, dy = _around(self._cells, x, y, 0.5 * math.hypot(length, width) + 2.0 * STAND)
+        rows, cols, dx, dy = _around(self._cells, x, y, 0.5 * math.hypot(length, width) + 2.0 * STAND_MARGIN)
         c, s = (math.cos(yaw), math.sin(yaw)) if not math.isnan(yaw) else (1.0, 0.0)
-        under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND) & (
-            np.abs(dy * c - dx * s) <= 0.5 * width + STAND
+        under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND_MARGIN) & (
+            np.abs(dy * c - dx * s) <= 0.5 * width + STAND_MARGIN
         )
         self._flags[rows, cols][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
 
@@ -136,7 +136,7 @@ class Ground:
         """Whether the robot stands at a along the move to b, or the other way round."""
         if self._stand is None or a != self._stand[:2]:
             return False
-        return abs(math.sin(math.atan2(b[1] - a[1], b[0] - a[0]) - self._stand[2])) < math.sin(ALONG)
+        return abs(math.sin(math.atan2(b[1] - a[1], b[0] - a[0]) - self._stand[2])) < math.sin(ALONG_ANGLE)
 
     def moves(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
         """(n - 1, 5) of the straight moves between places (n, 2), each at most `reach` from the next: native risk, then
@@ -159,7 +159,7 @@ class Ground:
         if any(self._held) and self._stand is not None and not math.isnan(self._stand[2]):
             for k in np.flatnonzero((xy == self._stand[:2]).all(axis=1)):
                 for held, turn in zip(self._held, (math.pi / 2.0, -math.pi / 2.0), strict=True):
-                    out[k] = without(out[k], self._stand[2], turn, BEND) if held else out[k]
+                    out[k] = without(out[k], self._stand[2], turn, BEND_ANGLE) if held else out[k]
         return out
 
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
@@ -172,7 +172,7 @@ class Ground:
         nodes = self.graph.nodes
         some = np.flatnonzero(np.abs(nodes[:, 0] - xy[0]) <= reach)  # of a large map nearly none
         d = np.hypot(nodes[some, 0] - xy[0], nodes[some, 1] - xy[1])
-        found = np.flatnonzero((d <= reach) & (d > SAME))
+        found = np.flatnonzero((d <= reach) & (d > SAME_PLACE))
         return some[found[np.argsort(d[found], kind="stable")]]
 
     def spot(self, xy: XY) -> Spot:
@@ -191,14 +191,16 @@ class Ground:
     def held(self, xy: XY, yaw: float) -> bool:
         """Whether the guard held a turn of the robot, or by the map lets it turn by less than what is driven as a bend,
         to one side at least."""
-        return any(self._held) or any(self.guarded_turn(xy, yaw, turn, 0.0) < BEND for turn in (BEND, -BEND))
+        return any(self._held) or any(
+            self.guarded_turn(xy, yaw, turn, 0.0) < BEND_ANGLE for turn in (BEND_ANGLE, -BEND_ANGLE)
+        )
 
     def ahead(self, xy: XY, yaw: float) -> list[Spot]:
         """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all
         moves but those along its heading sweep the wall, and the graph may have no node there."""
         out = []
-        for way in AHEAD:
-            for aside in ASIDE:
+        for way in PLACES_AHEAD:
+            for aside in PLACES_ASIDE:
                 at = yaw + math.radians(aside)
                 far = way * self.graph.params.length
                 place = (xy[0] + far * math.cos(at), xy[1] + far * math.sin(at))
@@ -220,7 +222,7 @@ class Ground:
         """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to
         be avoided."""
         length = np.hypot(*np.diff(places, axis=0).T)
-        return bool(((length > SAME) & (length <= self.reach)).all()) and self.graph.allows(places)
+        return bool(((length > SAME_PLACE) & (length <= self.reach)).all()) and self.graph.allows(places)
 
     def move(self, a: XY, b: XY) -> NDArray[np.float32] | None:
         """(5,) `moves` of the straight move from a to b; None where none may lead there."""
@@ -238,7 +240,7 @@ class Ground:
         if any(self.move(xy, self._at(k)) is not None for k in self.near(xy, self.reach).tolist()):
             return xy
         best: XY | None = None
-        nodes = self.near(xy, reach)[:NEAREST]
+        nodes = self.near(xy, reach)[:NEAREST_NODES]
         c = self._cells
         seen = in_sight(self._flags, *c.origin, c.res, *xy, self.graph.nodes[nodes, :2], reach)
         for k in nodes[seen].tolist():

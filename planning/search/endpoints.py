@@ -13,11 +13,11 @@ from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason
 from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.risk.table import RiskTable
-from planning.search.attach import SAME, Ground, Spot, attached, dear_to_turn
+from planning.search.attach import SAME_PLACE, Ground, Spot, attached, dear_to_turn
 from planning.search.request import Place, PlanRequest
-from planning.search.to_go import OBSTACLE
+from planning.search.to_go import OBSTACLE_FACE
 
-_DISC = 0.30
+_GOAL_DISC = 0.30
 """Radius [m] of the ground around a goal that tells whether the goal is an obstacle or was never seen."""
 
 
@@ -71,7 +71,7 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
         start += len(new) - 1
     if is_node(request.goal):
         goal = int(request.goal)  # type: ignore[arg-type]
-    elif math.dist(start_xy, goal_xy) <= SAME:
+    elif math.dist(start_xy, goal_xy) <= SAME_PLACE:
         goal = start
     else:
         if not request.allow_frontier:
@@ -258,9 +258,9 @@ def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], 
     rest."""
     where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
     p = graph.params
-    ground = ground_at(grid, xy, p.max_step, _DISC, p.min_coverage)
+    ground = ground_at(grid, xy, p.max_step, _GOAL_DISC, p.min_coverage)
     exact = graph.cells is not None
-    inside = ground_at(grid, xy, max(OBSTACLE, p.max_step), 0.5 * p.width, p.min_coverage)
+    inside = ground_at(grid, xy, max(OBSTACLE_FACE, p.max_step), 0.5 * p.width, p.min_coverage)
     if ground == "blocked" and (not exact or inside == "blocked"):
         raise NoRoute(
             NoRouteReason.GOAL_IN_OBSTACLE,

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.graph.describe import RAYS
+from planning.graph.describe import FRONTIER_RAYS
 from planning.graph.flags import FACE, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.search.request import PlanRequest
@@ -35,7 +35,7 @@ SWITCH_SHARE, SWITCH_LEAST = 0.10, 0.5
 equal ones makes up its mind."""
 GIVE_UP_AFTER = 6.0
 """[s] on the way to a frontier without coming nearer to it: the ground before it cannot be seen, or not be driven."""
-NEARER = 0.1
+NEARER_WAY = 0.1
 """[m] of the way to it."""
 LONGEST_PAUSE = 2.0
 """[s] between two plans, at most, that count: the goal may have been paused."""
@@ -89,7 +89,7 @@ class Tried:
         here = self._attempt(frontier)
         if here is None:
             self._attempts.append(_Attempt(frontier, _dark(grid, frontier), way))
-        elif way < here.least - NEARER:
+        elif way < here.least - NEARER_WAY:
             here.least, here.seconds = way, 0.0
         else:
             here.seconds += passed
@@ -159,8 +159,8 @@ def virtual_around(flags, x0, y0, res, points, near, far):
     rows, cols = flags.shape
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
-        for a in range(RAYS):
-            ux, uy = math.cos(2.0 * math.pi * a / RAYS), math.sin(2.0 * math.pi * a / RAYS)
+        for a in range(FRONTIER_RAYS):
+            ux, uy = math.cos(2.0 * math.pi * a / FRONTIER_RAYS), math.sin(2.0 * math.pi * a / FRONTIER_RAYS)
             for k in range(1, math.floor(far / res) + 1):
                 c = math.floor((points[i, 0] + k * res * ux - x0) / res + 0.5)
                 r = math.floor((points[i, 1] + k * res * uy - y0) / res + 0.5)

@@ -11,7 +11,7 @@ from hal.safety.planned import free_turn, mapped
 from hal.safety.swept import Body, Surroundings
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
-from planning.graph.describe import HEADING_STEP, HEADINGS
+from planning.graph.describe import HEADING_COUNT, HEADING_STEP
 from planning.graph.params import GraphParams
 from planning.search.turn_clearance import wheels_turn
 
@@ -66,4 +66,4 @@ def without(room: np.uint64, yaw: float, turn: float, free: float) -> np.uint64:
     low, high = sorted((yaw, yaw + turn))
     first, last = math.floor(low / HEADING_STEP) + 1, math.ceil(high / HEADING_STEP) - 1
     at = round((yaw + math.copysign(free, turn)) / HEADING_STEP)
-    return np.uint64(int(room) & ~(1 << (min(max(at, first), last) % HEADINGS)))
+    return np.uint64(int(room) & ~(1 << (min(max(at, first), last) % HEADING_COUNT)))

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.terrain import Sampler
-from planning.search.attach import SAME, XY, Ground, there
+from planning.search.attach import SAME_PLACE, XY, Ground, there
 from planning.search.endpoints import Endpoints
 from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
 from planning.search.request import Plan, PlanRequest
 from planning.search.straight import has_room_everywhere
 
-STRIP = 0.5
+NODE_STRIP = 0.5
 """[m] A point of a route has a node nearer than this, but where the graph has lost its ground."""
 
 
@@ -65,10 +65,10 @@ def rest(
         return None
     here, end = places
     legs = [((float(x), float(y)), bool(b)) for (x, y), b in zip(driven.points, driven.back, strict=True)]
-    if len(legs) > 1 and math.dist(here, legs[0][0]) <= SAME:
+    if len(legs) > 1 and math.dist(here, legs[0][0]) <= SAME_PLACE:
         legs = legs[1:]
     xy = np.array([here, *(place for place, _ in legs)])
-    if math.dist(legs[-1][0], end) > SAME or not ground.may_join(xy):
+    if math.dist(legs[-1][0], end) > SAME_PLACE or not ground.may_join(xy):
         return None
     back = np.array([b for _, b in legs])
     moves = ground.moves(xy)
@@ -99,7 +99,7 @@ def nearest(nodes: NDArray[np.float64], places: NDArray[np.float64]) -> list[int
     """Index of the node (n, 2) nearest to each place (k, 2), the lowest of equal ones."""
     order = np.argsort(places[:, 0], kind="stable")
     found = np.full(len(places), -1, np.int64)
-    found[order] = _within(nodes, places[order], STRIP)
+    found[order] = _within(nodes, places[order], NODE_STRIP)
     return [
         k if k >= 0 else int(np.argmin(np.hypot(*(nodes - place).T)))
         for k, place in zip(found.tolist(), places, strict=True)

@@ -16,7 +16,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, unseen_price, weights_of
 from planning.risk.cost import Weights
 from planning.risk.table import RiskTable
-from planning.search.attach import NEAREST, Spot
+from planning.search.attach import NEAREST_NODES, Spot
 from planning.search.endpoints import Endpoints, Place, endpoints, places_ahead, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import frontiers, with_hysteresis, worth_keeping
@@ -42,7 +42,7 @@ __all__ = [
     "plan_many",
 ]
 
-NEARER = 0.5
+NEARER_GOAL = 0.5
 """A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the
 robot stands: what blocks the way is judged from so far. With less the robot drove to and fro before a slope, and
 against it."""
@@ -231,8 +231,10 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
     nodes = at.table.graph.nodes[:, :2]
     goal = position(at.table.graph, request.goal, "goal")
     to_go = way_to_go(at.table.grid, nodes, goal, fields=fields_of(at.table.graph))
-    nearest = np.argsort(to_go, kind="stable")[:NEAREST].tolist()  # one that no way leads from is not nearer
-    for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER), at.start]:
+    nearest = np.argsort(to_go, kind="stable")[
+        :NEAREST_NODES
+    ].tolist()  # one that no way leads from is not nearer
+    for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER_GOAL), at.start]:
         ends = np.arange(len(nodes)) == node
         x, y = nodes[node].tolist()
         found = _search(at, request, ends, np.zeros(len(nodes)), (x, y), start_yaw, np.nan)

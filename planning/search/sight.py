@@ -15,24 +15,24 @@ from planning.graph.flags import FACE, UNSEEN_RAW, VIRTUAL
 from planning.graph.graph import TraversalGraph
 
 Array = NDArray[np.float64]
-RASTER = 0.2
+RASTER_CELL = 0.2
 """[m] Cells on which sight is judged."""
-SIGHT = 4.0
+SIGHT_RANGE = 4.0
 """[m] A LiDAR on the back sees ground densely enough for the map within this distance."""
-RAYS = 72
-HIGH = 0.4
+SIGHT_RAYS = 72
+HIDING_HEIGHT = 0.4
 """[m] A face whose upper side is so much above the place hides the ground behind it."""
-FAR = 0.6
+UNREACHED_RANGE = 0.6
 """[m] Seen ground farther than this from every node is ground that no way leads to."""
-EDGE = 1.0
+LEAST_EDGE = 1.0
 """[m] A shorter edge of the seen ground, where no way leads to, is not told."""
-JOINED = np.ones((3, 3), np.bool_)
+JOINED_CELLS = np.ones((3, 3), np.bool_)
 """Diagonals included."""
 
 
 @dataclass(slots=True)
 class Sight:
-    """The area, or the map and `SIGHT` around it, in cells of `RASTER`."""
+    """The area, or the map and `SIGHT_RANGE` around it, in cells of `RASTER_CELL`."""
 
     origin: tuple[float, float]
     """Lower left corner [m]."""
@@ -52,24 +52,24 @@ class Sight:
         flags, res = graph.cells.flags, graph.cells.res
         x0, y0 = graph.cells.origin
         rows, cols = flags.shape
-        low = np.array([x0, y0]) - SIGHT
-        high = np.array([x0 + cols * res, y0 + rows * res]) + SIGHT
+        low = np.array([x0, y0]) - SIGHT_RANGE
+        high = np.array([x0 + cols * res, y0 + rows * res]) + SIGHT_RANGE
         if area is not None:
             low, high = np.maximum(low, area.min(axis=0)), np.minimum(high, area.max(axis=0))
-        shape = tuple(np.maximum(np.ceil((high - low) / RASTER).astype(int), 1)[::-1])
+        shape = tuple(np.maximum(np.ceil((high - low) / RASTER_CELL).astype(int), 1)[::-1])
         origin = (float(low[0]), float(low[1]))
         seen, top = np.zeros(shape, np.bool_), np.full(shape, -np.inf, np.float32)
         _reduce(flags, grid.height, x0 - 0.5 * res, y0 - 0.5 * res, res, *origin, seen, top)
         inside = np.ones(shape, np.bool_)
         if area is not None:
-            y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * RASTER + 0.5 * RASTER
+            y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * RASTER_CELL + 0.5 * RASTER_CELL
             inside = _inside(x + origin[0], y + origin[1], area)
         ground = seen & ~np.isfinite(top)
         return cls(origin, inside & ~seen, inside & ground, top, np.zeros(shape, np.bool_))
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Row and column of places (n, 2), clipped, and which lie on the raster."""
-        c, r = (np.floor((xy[:, k] - self.origin[k]) / RASTER).astype(np.int64) for k in (0, 1))
+        c, r = (np.floor((xy[:, k] - self.origin[k]) / RASTER_CELL).astype(np.int64) for k in (0, 1))
         on = (r >= 0) & (c >= 0) & (r < self.seen.shape[0]) & (c < self.seen.shape[1])
         return np.clip(r, 0, self.seen.shape[0] - 1), np.clip(c, 0, self.seen.shape[1] - 1), on
 
@@ -94,13 +94,13 @@ class Sight:
 
     def seen_near(self, nodes: Array) -> float:
         """[m^2] seen and within reach of the robot."""
-        return float((self.seen & self.near(nodes, 0.5)).sum()) * RASTER**2
+        return float((self.seen & self.near(nodes, 0.5)).sum()) * RASTER_CELL**2
 
     def hidden(self, shown: float, bounded: bool) -> float:
         """[m^2] that may be seen yet: what the places show, and in an area all unseen ground joined to it."""
         if not bounded:
             return shown
-        return float(joined(self.taken, self.unseen).sum()) * RASTER**2
+        return float(joined(self.taken, self.unseen).sum()) * RASTER_CELL**2
 
     def unreachable(self, nodes: Array) -> Array:
         """(m, 2) middles [m] of edges between seen ground far from every node and unseen ground."""
@@ -109,20 +109,22 @@ class Sight:
         edge[1:] |= self.unseen[:-1]
         edge[:, :-1] |= self.unseen[:, 1:]
         edge[:, 1:] |= self.unseen[:, :-1]
-        edge &= self.seen & ~self.near(nodes, FAR)
+        edge &= self.seen & ~self.near(nodes, UNREACHED_RANGE)
         found = []
-        names, count = ndimage.label(edge, JOINED)
+        names, count = ndimage.label(edge, JOINED_CELLS)
         for k in range(1, count + 1):
             rc = np.argwhere(names == k)
-            if len(rc) * RASTER >= EDGE:
+            if len(rc) * RASTER_CELL >= LEAST_EDGE:
                 r, c = rc[len(rc) // 2]
-                found.append((self.origin[0] + (c + 0.5) * RASTER, self.origin[1] + (r + 0.5) * RASTER))
+                found.append(
+                    (self.origin[0] + (c + 0.5) * RASTER_CELL, self.origin[1] + (r + 0.5) * RASTER_CELL)
+                )
         return np.array(found).reshape(-1, 2)
 
 
 def joined(some: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """`some` of the ground (rows, cols) and what is joined to it there, diagonals included."""
-    return np.asarray(ndimage.binary_propagation(some, JOINED, ground))
+    return np.asarray(ndimage.binary_propagation(some, JOINED_CELLS, ground))
 
 
 def _inside(x: Array, y: Array, corners: Array) -> NDArray[np.bool_]:
@@ -141,11 +143,11 @@ def _reduce(flags, height, x0, y0, res, ox, oy, seen, top):
     count = np.zeros((rows, cols), np.int32)
     known = np.zeros((rows, cols), np.int32)
     for r in range(flags.shape[0]):
-        j = math.floor((y0 + (r + 0.5) * res - oy) / RASTER)
+        j = math.floor((y0 + (r + 0.5) * res - oy) / RASTER_CELL)
         if j < 0 or j >= rows:
             continue
         for c in range(flags.shape[1]):
-            i = math.floor((x0 + (c + 0.5) * res - ox) / RASTER)
+            i = math.floor((x0 + (c + 0.5) * res - ox) / RASTER_CELL)
             if i < 0 or i >= cols:
                 continue
             count[j, i] += 1
@@ -162,13 +164,13 @@ def _reduce(flags, height, x0, y0, res, ox, oy, seen, top):
 def _mark(places, ox, oy, reach, out):
     """Set the cells within `reach` of places (n, 2)."""
     rows, cols = out.shape
-    n = math.ceil(reach / RASTER)
+    n = math.ceil(reach / RASTER_CELL)
     for k in range(len(places)):
-        c = math.floor((places[k, 0] - ox) / RASTER)
-        r = math.floor((places[k, 1] - oy) / RASTER)
+        c = math.floor((places[k, 0] - ox) / RASTER_CELL)
+        r = math.floor((places[k, 1] - oy) / RASTER_CELL)
         for j in range(max(0, r - n), min(rows, r + n + 1)):
             for i in range(max(0, c - n), min(cols, c + n + 1)):
-                if (j - r) ** 2 + (i - c) ** 2 <= (reach / RASTER) ** 2:
+                if (j - r) ** 2 + (i - c) ** 2 <= (reach / RASTER_CELL) ** 2:
                     out[j, i] = True
 
 
@@ -185,17 +187,17 @@ def _shown(places, unseen, taken, top, ox, oy):
 @njit(cache=True)
 def _look(place, unseen, taken, top, ox, oy, mark):
     rows, cols = unseen.shape
-    step = 0.5 * RASTER
-    share = step * 2.0 * math.pi / RAYS
+    step = 0.5 * RASTER_CELL
+    share = step * 2.0 * math.pi / SIGHT_RAYS
     total = 0.0
-    for a in range(RAYS):
-        dx, dy = math.cos(2.0 * math.pi * a / RAYS), math.sin(2.0 * math.pi * a / RAYS)
-        for s in range(1, math.floor(SIGHT / step) + 1):
-            c = math.floor((place[0] + s * step * dx - ox) / RASTER)
-            r = math.floor((place[1] + s * step * dy - oy) / RASTER)
+    for a in range(SIGHT_RAYS):
+        dx, dy = math.cos(2.0 * math.pi * a / SIGHT_RAYS), math.sin(2.0 * math.pi * a / SIGHT_RAYS)
+        for s in range(1, math.floor(SIGHT_RANGE / step) + 1):
+            c = math.floor((place[0] + s * step * dx - ox) / RASTER_CELL)
+            r = math.floor((place[1] + s * step * dy - oy) / RASTER_CELL)
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 continue
-            if top[r, c] > place[2] + HIGH:
+            if top[r, c] > place[2] + HIDING_HEIGHT:
                 break
             if unseen[r, c] and not taken[r, c]:
                 total += s * step * share

@@ -17,7 +17,7 @@ from planning.graph.describe import turn_is_free
 from planning.risk.body import weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
-from planning.risk.turns import BEND
+from planning.risk.turns import BEND_ANGLE
 from planning.search.attach import Ground, there
 from planning.search.explain import Route
 from planning.search.guarded import TURN_SPARE
@@ -128,7 +128,7 @@ def free_at(ground: Ground, route: Route, k: int, known: tuple[float, float] | N
     bend is no turn on the spot.
     """
     yaw, turn = turn_at(route, k) if known is None else known
-    if abs(turn) <= BEND:
+    if abs(turn) <= BEND_ANGLE:
         return abs(turn)
     x, y = route.xy[k].tolist()
     return ground.guarded_turn((x, y), yaw, turn, TURN_SPARE if k else 0.0)

@@ -13,17 +13,17 @@ from scipy import ndimage
 from hal.raster import cells_of
 from mapping.grid import ElevationGrid
 from planning.graph.closing import closed
-from planning.graph.fields import SPREAD
+from planning.graph.fields import FIELD_SPREAD
 from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
 from planning.search.heap import ZERO, pop, push
 
-CELL = 0.2
+WAY_CELL = 0.2
 """Raster of the way through unknown ground [m]."""
 KEEP_OFF = 0.15
 """That way keeps this far from known obstacles [m]: less than half the body, so that a gap of half a metre stays
 open."""
-OBSTACLE = 0.25
+OBSTACLE_FACE = 0.25
 """A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
 AROUND_NODE = 0.4
 """[m] around a place that the robot can come to the ground is known."""
@@ -51,17 +51,17 @@ class OpenGround(NamedTuple):
 def open_ground(grid: ElevationGrid, goal: tuple[float, float]) -> OpenGround:
     """For ways to the goal x, y [m]."""
     x0, y0, x1, y1 = grid.extent
-    ox, oy = x0 - CELL, y0 - CELL
-    shape = (math.ceil((y1 - oy) / CELL) + 2, math.ceil((x1 - ox) / CELL) + 2)
+    ox, oy = x0 - WAY_CELL, y0 - WAY_CELL
+    shape = (math.ceil((y1 - oy) / WAY_CELL) + 2, math.ceil((x1 - ox) / WAY_CELL) + 2)
     blocked = np.zeros(shape, np.bool_)
-    _block(grid.height, grid.trusted, grid.resolution, CELL, CELL, blocked)
-    y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * CELL
+    _block(grid.height, grid.trusted, grid.resolution, WAY_CELL, WAY_CELL, blocked)
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * WAY_CELL
     straight = np.hypot(x + ox - goal[0], y + oy - goal[1])
     rim = np.ones(shape, np.bool_)
     rim[1:-1, 1:-1] = False
     inside = x0 <= goal[0] <= x1 and y0 <= goal[1] <= y1
     # the goal may stand close to something
-    seeds = straight <= 1.5 * CELL if inside else rim
+    seeds = straight <= 1.5 * WAY_CELL if inside else rim
     return OpenGround((ox, oy), blocked & ~seeds, np.where(seeds, straight, np.inf), rim)
 
 
@@ -77,8 +77,8 @@ def way_to_go(
     infinite where there is none. Ground off the map is open.
 
     A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that
-    was not seen, where these are less than `SPREAD` apart: most likely they go on there. What lies on one side of them
-    alone may be the way around.
+    was not seen, where these are less than `FIELD_SPREAD` apart: most likely they go on there. What lies on one side of
+    them alone may be the way around.
 
     `reached`: (k, >= 2) places that the robot can come to, such as the nodes of its graph. The way then does not lead
     back over the ground around them: where it would leave it again, another place is nearer. `ground`: `open_ground`
@@ -88,16 +88,18 @@ def way_to_go(
     known = np.zeros(blocked.shape, np.bool_)
     if reached is not None:
         known[_cells_of(reached, origin, blocked.shape)] = True
-        known = ndimage.binary_dilation(known, np.ones((3, 3)), round(AROUND_NODE / CELL))
+        known = ndimage.binary_dilation(known, np.ones((3, 3)), round(AROUND_NODE / WAY_CELL))
     dear = np.ones(blocked.shape)
     if fields is not None and fields.any():
-        span = round(SPREAD / grid.resolution)
+        span = round(FIELD_SPREAD / grid.resolution)
         whole = closed(np.pad(fields, span).astype(np.float32), span)[span:-span, span:-span] > 0.0
         fields = fields | (whole & ~grid.trusted)
         # the raster's cells whose middle lies in a field
         rows, cols = (
             cells_of(
-                np.arange(float(blocked.shape[k])) * CELL + origin[1 - k], grid.extent[1 - k], grid.resolution
+                np.arange(float(blocked.shape[k])) * WAY_CELL + origin[1 - k],
+                grid.extent[1 - k],
+                grid.resolution,
             )
             for k in (0, 1)
         )
@@ -119,7 +121,7 @@ def _cells_of(
     points: NDArray[np.float64], origin: tuple[float, float], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Row and column of points (n, >= 2) [m] on the raster, clipped."""
-    col, row = (cells_of(points[:, k], origin[k], CELL) for k in (0, 1))
+    col, row = (cells_of(points[:, k], origin[k], WAY_CELL) for k in (0, 1))
     return np.clip(row, 1, shape[0] - 2), np.clip(col, 1, shape[1] - 2)
 
 
@@ -133,17 +135,27 @@ def _block(height, trusted, res, dx, dy, blocked):
                 continue
             face = False
             for k in range(1, 3):
-                if r + k < rows and trusted[r + k, c] and abs(height[r + k, c] - height[r, c]) > OBSTACLE:
+                if (
+                    r + k < rows
+                    and trusted[r + k, c]
+                    and abs(height[r + k, c] - height[r, c]) > OBSTACLE_FACE
+                ):
                     face = True
-                if c + k < cols and trusted[r, c + k] and abs(height[r, c + k] - height[r, c]) > OBSTACLE:
+                if (
+                    c + k < cols
+                    and trusted[r, c + k]
+                    and abs(height[r, c + k] - height[r, c]) > OBSTACLE_FACE
+                ):
                     face = True
             if not face:
                 continue
             x = (c + 0.5) * res + dx
             y = (r + 0.5) * res + dy
-            for j in range(math.ceil((y - KEEP_OFF) / CELL), math.floor((y + KEEP_OFF) / CELL) + 1):
-                for i in range(math.ceil((x - KEEP_OFF) / CELL), math.floor((x + KEEP_OFF) / CELL) + 1):
-                    if (i * CELL - x) ** 2 + (j * CELL - y) ** 2 <= KEEP_OFF**2:
+            for j in range(math.ceil((y - KEEP_OFF) / WAY_CELL), math.floor((y + KEEP_OFF) / WAY_CELL) + 1):
+                for i in range(
+                    math.ceil((x - KEEP_OFF) / WAY_CELL), math.floor((x + KEEP_OFF) / WAY_CELL) + 1
+                ):
+                    if (i * WAY_CELL - x) ** 2 + (j * WAY_CELL - y) ** 2 <= KEEP_OFF**2:
                         blocked[j, i] = True
 
 
@@ -166,7 +178,7 @@ def _flood(blocked, way, free, known, dear):
             continue
         for a in range(max(0, r - 1), min(rows, r + 2)):
             for b in range(max(0, c - 1), min(cols, c + 2)):
-                step = CELL * math.hypot(a - r, b - c)
+                step = WAY_CELL * math.hypot(a - r, b - c)
                 depth = deep[r, c] + step if known[a, b] else 0.0
                 if (blocked[a, b] and not free[a, b]) or depth > LEAVES_WITHIN:
                     continue

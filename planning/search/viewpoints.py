@@ -22,19 +22,19 @@ from planning.search.frontier import beside_virtual
 from planning.search.sight import Sight
 
 Array = NDArray[np.float64]
-LEAST = 0.5
+LEAST_GAIN = 0.5
 """[m^2] A place that shows less is not driven to."""
-MOST = 24
+MOST_PLACES = 24
 """Places are ordered, at most; the others come later."""
-ALIKE = 0.9
+ALIKE_SHARE = 0.9
 """Of places that show at least this share of the most, the nearest is taken."""
-BARRED = 0.75
+BARRED_RADIUS = 0.75
 """[m] around a place given up there is no other one."""
-SAME = 1.5
+SAME_VIEWPOINT = 1.5
 """[m] The place driven to moves on as ground is seen: the nearest one within this distance of it is the same."""
 SWITCH_SHARE, SWITCH_LEAST = 0.1, 1.0
 """Another place comes first only where the whole way is shorter by this share and by this much [m]."""
-BESIDE = 1.0
+BESIDE_GRAPH = 1.0
 """[m] A robot farther than this from every node stands on no graph."""
 
 
@@ -91,13 +91,17 @@ def viewpoints(graph: TraversalGraph, grid: ElevationGrid, survey: Survey, sigma
         none is near."""
         apart = np.hypot(*(nodes[:, :2] - place).T)
         near = int(apart.argmin())
-        return np.full(len(nodes), np.inf) if apart[near] > BESIDE else apart[near] + graph.ways(cost, near)
+        return (
+            np.full(len(nodes), np.inf)
+            if apart[near] > BESIDE_GRAPH
+            else apart[near] + graph.ways(cost, near)
+        )
 
     sight = Sight.of(graph, grid, survey.area)
     way = ways(survey.start)
     may = (graph.frontier | beside_virtual(graph)) & np.isfinite(way) & sight.holds(nodes[:, :2])
     for place in () if survey.barred is None else survey.barred:
-        may &= np.hypot(*(nodes[:, :2] - place).T) > BARRED
+        may &= np.hypot(*(nodes[:, :2] - place).T) > BARRED_RADIUS
     chosen, gain = _cover(nodes, np.flatnonzero(may), way, sight)
     between = np.array([ways((nodes[k, 0], nodes[k, 1]))[chosen] for k in chosen]).reshape(
         len(chosen), len(chosen)
@@ -128,7 +132,7 @@ def _same(xy: Array, target: tuple[float, float] | None) -> int:
     if target is None or not len(xy):
         return -1
     away = np.hypot(*(xy - target).T)
-    return int(away.argmin()) if away.min() <= SAME else -1
+    return int(away.argmin()) if away.min() <= SAME_VIEWPOINT else -1
 
 
 def _cover(
@@ -138,16 +142,16 @@ def _cover(
     chosen: list[int] = []
     gains: list[float] = []
     places = np.ascontiguousarray(nodes[candidates])
-    while len(chosen) < MOST and len(places):
+    while len(chosen) < MOST_PLACES and len(places):
         gain = sight.shown(places)
-        if gain.max() < LEAST:
+        if gain.max() < LEAST_GAIN:
             break
-        like = np.flatnonzero(gain >= ALIKE * gain.max())
+        like = np.flatnonzero(gain >= ALIKE_SHARE * gain.max())
         best = int(like[way[candidates[like]].argmin()])
         chosen.append(int(candidates[best]))
         gains.append(float(gain[best]))
         sight.take(places[best])
-        left = gain >= LEAST  # what is shown only gets less
+        left = gain >= LEAST_GAIN  # what is shown only gets less
         left[best] = False
         candidates, places = candidates[left], places[left]
     return np.array(chosen, np.int64), np.array(gains)

@@ -8,9 +8,9 @@ _SLIP_RATE = 1.0
 """How fast the slip is learnt [1/s]."""
 _MAX_SLIP = 0.1
 """Bound of the slip: the share of the commanded speed that is missing, as far as it is made up for."""
-_STEADY = 0.02
+_STEADY_SPEED = 0.02
 """Slip is learnt while the command is this close to what it goes to [m/s] ..."""
-_ROLLS = 0.7
+_ROLLING_SHARE = 0.7
 """... and the base has this share of its speed: one that the ground holds does not slip."""
 
 
@@ -34,6 +34,6 @@ class Learnt:
     def learn_slip(self, speed: float, measured: float, commanded: float, dt: float) -> None:
         """From the measured speed of a base that is to drive at `speed`, and the command it was given; all [m/s], in
         the direction of travel."""
-        if measured > _ROLLS * speed and abs(self.command(speed) - commanded) < _STEADY:
+        if measured > _ROLLING_SHARE * speed and abs(self.command(speed) - commanded) < _STEADY_SPEED:
             slip = self.slip + _SLIP_RATE * (1.0 - measured / speed) * dt
             self.slip = max(-_MAX_SLIP, min(_MAX_SLIP, slip))

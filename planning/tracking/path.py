@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hal.rotation import wrap
-from planning.braking import FOLD, bend_speed, brake
+from planning.braking import FOLD_ANGLE, bend_speed, brake
 
 PATH_STEP = 0.05
 """Spacing of the resampled path [m]."""
@@ -108,7 +108,7 @@ def track_paths(
     chord = np.diff(xy[keep], axis=0)
     course = np.arctan2(chord[:, 1], chord[:, 0])
     back = np.cos(facing[keep][:-1] - course) < 0.0
-    cut = (back[1:] != back[:-1]) | (np.abs(wrap(np.diff(course))) > FOLD)
+    cut = (back[1:] != back[:-1]) | (np.abs(wrap(np.diff(course))) > FOLD_ANGLE)
     ends = [0, *(np.flatnonzero(cut) + 1).tolist(), len(back)]
     out = []
     for first, last in pairwise(ends):

@@ -24,9 +24,9 @@ from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
 
-_WINDOW = 0.6
+_SEARCH_WINDOW = 0.6
 """How far ahead of the progress the nearest point is looked for [m]: beyond it a crossing path could capture us."""
-_BACK = 0.4
+_SLIDE_BACK = 0.4
 """How far behind the progress [m] the robot may be after sliding back and still steer by the place where it is."""
 _START_WINDOW = 1.5
 """The same for a new path: the robot drove on while it was planned."""
@@ -41,7 +41,7 @@ _TURN_LEAST = 0.05
 _CREEP_YAW_ACCEL = 0.5
 """[rad/s^2] at most on a path that is crept: at 2.5 the forces of a bend that begins felt like an edge, on level ground
 in 18 of 18 simulated drives, at 1.0 and less in none."""
-_ROCK = 0.08
+_ROCK_DISTANCE = 0.08
 """How far from the goal it drives back and forth while it turns [m]."""
 
 
@@ -161,9 +161,9 @@ class PathTracker:
         line = self._correcting or path
         sign = -1.0 if self._reverse else 1.0
         course = yaw if not self._reverse else yaw + math.pi  # direction in which the base travels
-        ahead = self._s + (_WINDOW if self._started else _START_WINDOW)
+        ahead = self._s + (_SEARCH_WINDOW if self._started else _START_WINDOW)
         # A base that drifts while it turns at a corner would come back before it there, and turn back.
-        back = 0.0 if self._phase is TrackPhase.ALIGNING else _BACK
+        back = 0.0 if self._phase is TrackPhase.ALIGNING else _SLIDE_BACK
         s = line.project(x, y, max(self._s - back, 0.0), min(ahead, line.length))
         self._s = max(s, self._s)
         self._started = True
@@ -194,7 +194,7 @@ class PathTracker:
         course_p = course + wz * p.lag
         mid = course + 0.5 * wz * p.lag
         x_p, y_p = x + travel * math.cos(mid), y + travel * math.sin(mid)
-        s_p = line.project(x_p, y_p, s, min(s + _WINDOW, line.length))
+        s_p = line.project(x_p, y_p, s, min(s + _SEARCH_WINDOW, line.length))
         cross_p = line.cross(s_p, x_p, y_p)
         along_p = left - travel * math.cos(error)
         if along_p <= 0.005 and self._rest:
@@ -303,9 +303,9 @@ class PathTracker:
             self._turn_left, self._turn_gained = left, now
         if self._rock == 0.0 and now - self._turn_gained > _TURN_STALLED * 1e9:
             self._rock = -self.params.min_speed
-        if self._rock * ahead > _ROCK * abs(self._rock):
+        if self._rock * ahead > _ROCK_DISTANCE * abs(self._rock):
             self._rock = -self._rock
-        if self._rock == 0.0 and abs(ahead) > _ROCK:
+        if self._rock == 0.0 and abs(ahead) > _ROCK_DISTANCE:
             return -math.copysign(self.params.min_speed, ahead)
         return self._rock
 

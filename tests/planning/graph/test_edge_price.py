@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planning.graph.edge_price import BEYOND, EVEN_TAN, HIGHEST_FACE, edge_price
+from planning.graph.edge_price import EVEN_TAN, HIGHEST_FACE, TRACK_BEYOND, edge_price
 from planning.graph.faces import LEAST_FACE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.params import GraphParams
@@ -137,7 +137,7 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
     d = float(np.hypot(*(b - a)))
     u = (b - a) / d
     step = 0.5 * RES
-    n, beyond = int(np.ceil(d / step)), int(BEYOND / step)
+    n, beyond = int(np.ceil(d / step)), int(TRACK_BEYOND / step)
     k = np.arange(-beyond, n + beyond + 1)
     within = (k >= 0) & (k < n)
     out, posts, fields, samples = np.zeros((2, 2)), 0, 0, 0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hal.envelope import FALL_COST, Axis, Envelope, Table, stored
 from planning.graph.params import GraphParams
-from planning.graph.prices import ANGLES, SIZES, angle_at, ending, free, hazards, prices_of, size_at
+from planning.graph.prices import ANGLE_COUNT, SIZE_COUNT, angle_at, ending, free, hazards, prices_of, size_at
 
 # Faces up that the hybrid controller was driven over: height [m], angle [deg], trials, failures.
 TRIALS = [
@@ -102,9 +102,9 @@ def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: s
     assert prices.turn[1, i, 0] == pytest.approx(hazard("spin", 0.15, 0.0, 1.0))
     assert prices.posts[size_at(0.1)] == pytest.approx(hazard("posts", 0.10, 0.5))
     assert prices.gap[size_at(0.08)] == pytest.approx(0.25 * hazard("gap", 0.08))
-    for table in (*prices.face.reshape(4, SIZES, ANGLES), *prices.turn):
+    for table in (*prices.face.reshape(4, SIZE_COUNT, ANGLE_COUNT), *prices.turn):
         assert (np.diff(table, axis=0) >= -1e-12).all(), "the higher the dearer"
-    half = prices.face[..., : (ANGLES + 1) // 2]
+    half = prices.face[..., : (ANGLE_COUNT + 1) // 2]
     assert (np.diff(half, axis=-1) >= -1e-12).all(), "the more askew the dearer"
     np.testing.assert_allclose(prices.face, prices.face[..., ::-1], err_msg="from either side")
     for name, table in prices._asdict().items():

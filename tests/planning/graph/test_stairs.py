@@ -10,7 +10,7 @@ from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph.faces import update_faces
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.graph.prices import FLIGHT, ending
+from planning.graph.prices import FLIGHT_RISERS, ending
 from planning.risk.body import BodyModel
 from planning.search import PlanRequest, plan
 
@@ -53,7 +53,7 @@ def test_stairs_are_a_way_as_far_as_the_envelope_says_from_below_and_from_above(
         ending(name, *envelope.tables(name)) * float(envelope.bound(name, riser, tread, 0.0))
         for name in ("stairs_up", "stairs_down")
     )
-    assert (1.0 - (1.0 - ends) ** FLIGHT <= MAX_RISK) == way, "what the envelope says"
+    assert (1.0 - (1.0 - ends) ** FLIGHT_RISERS <= MAX_RISK) == way, "what the envelope says"
     assert found(flight(riser, tread), up) == way
 
 

@@ -20,7 +20,7 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
-from planning.risk.turns import ASKEW, BEND, may_turn_to, turn_cost
+from planning.risk.turns import BEND_ANGLE, STRAIGHT_ANGLE, may_turn_to, turn_cost
 from planning.search.guarded import TURN_SPARE
 from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
 from tests.hal.safety.ground import BODY as RECTANGLE
@@ -288,7 +288,7 @@ def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
     count = 0
     for poses in turns_of(found):
         turn = float(poses[-1, 2] - poses[0, 2])
-        if abs(turn) > BEND:
+        if abs(turn) > BEND_ANGLE:
             tracks = turn_tracks(abs(turn), np.sign(turn), RECTANGLE, spare=TURN_SPARE)
             place = (float(poses[0, 0]), float(poses[0, 1]), float(poses[0, 2]))
             count += reach_of(tracks, turn_step(RECTANGLE), around, place, FLAT, robot, seen=False).kind > 0
@@ -345,7 +345,7 @@ def test_a_turn_at_the_goal_ends_beside_no_blocked_heading() -> None:
 def test_bends_and_turns_on_the_spot_have_their_own_prices() -> None:
     for turn in (0.01, 0.1, 0.2, -0.4, -0.5, 0.6, -3.0):
         size = abs(turn)
-        wanted = 13.0 * max(size - ASKEW, 0.0) if size <= BEND else 20.0 * size
+        wanted = 13.0 * max(size - STRAIGHT_ANGLE, 0.0) if size <= BEND_ANGLE else 20.0 * size
         assert turn_cost(13.0, 20.0, turn, 0.3) == pytest.approx(0.3 * size + wanted)
 
 

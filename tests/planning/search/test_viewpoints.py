@@ -62,7 +62,7 @@ def test_a_place_given_up_is_left_out() -> None:
     first = survey(True)
     others = survey(True, barred=first.xy)
     for place in others.xy:
-        assert np.hypot(*(first.xy - place).T).min() > v.BARRED
+        assert np.hypot(*(first.xy - place).T).min() > v.BARRED_RADIUS
 
 
 def test_seen_ground_behind_a_step_that_is_too_high_is_told() -> None:
@@ -101,19 +101,19 @@ def test_what_a_place_shows_is_what_a_plain_count_says() -> None:
     taken = unseen & (random.random((40, 40)) < 0.2)
     top = np.where(random.random((40, 40)) < 0.05, 1.0, -np.inf).astype(np.float32)
     place = np.array([[4.1, 3.7, 0.0]])
-    total, step = 0.0, 0.5 * sight.RASTER
-    for a in range(sight.RAYS):
-        for s in range(1, int(sight.SIGHT / step) + 1):
+    total, step = 0.0, 0.5 * sight.RASTER_CELL
+    for a in range(sight.SIGHT_RAYS):
+        for s in range(1, int(sight.SIGHT_RANGE / step) + 1):
             x, y = (
-                place[0, k] + s * step * f(2.0 * math.pi * a / sight.RAYS)
+                place[0, k] + s * step * f(2.0 * math.pi * a / sight.SIGHT_RAYS)
                 for k, f in ((0, math.cos), (1, math.sin))
             )
-            r, c = math.floor(y / sight.RASTER), math.floor(x / sight.RASTER)
+            r, c = math.floor(y / sight.RASTER_CELL), math.floor(x / sight.RASTER_CELL)
             if not (0 <= r < 40 and 0 <= c < 40):
                 continue
-            if top[r, c] > sight.HIGH:
+            if top[r, c] > sight.HIDING_HEIGHT:
                 break
-            total += s * step * step * 2.0 * math.pi / sight.RAYS * (unseen[r, c] and not taken[r, c])
+            total += s * step * step * 2.0 * math.pi / sight.SIGHT_RAYS * (unseen[r, c] and not taken[r, c])
     assert sight._shown(place, unseen, taken, top, 0.0, 0.0)[0] == pytest.approx(total, rel=1e-9)
 
 

@@ -19,7 +19,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.search.sight import Sight
-from planning.search.viewpoints import BARRED, LEAST, Survey, viewpoints
+from planning.search.viewpoints import BARRED_RADIUS, LEAST_GAIN, Survey, viewpoints
 
 RANGE, EYE = 4.5, 0.5
 """[m] Farthest ground that is seen, and the height of the LiDAR above the ground."""
@@ -161,11 +161,11 @@ def nearest(
     way = graph.ways(graph.costs(sigma), int(np.hypot(*(nodes[:, :2] - place).T).argmin()))
     may = graph.frontier & np.isfinite(way)
     for at in barred:
-        may &= np.hypot(*(nodes[:, :2] - at).T) > BARRED
+        may &= np.hypot(*(nodes[:, :2] - at).T) > BARRED_RADIUS
     left = np.flatnonzero(may)
     if len(left):
         shown = Sight.of(graph, grid, None).shown(np.ascontiguousarray(nodes[left]))
-        left = left[shown >= LEAST]
+        left = left[shown >= LEAST_GAIN]
     if not len(left):
         return np.empty((0, 2))
     if target is not None:

@@ -23,7 +23,7 @@ from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.navigation.goal import GoalState, goal_request
 from rbtrg_robot.stages.navigation.reasons import unlocated
-from rbtrg_robot.stages.robot import STEP
+from rbtrg_robot.stages.robot import STEP_PERIOD
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.messages import decode, header, stamp_in
@@ -93,7 +93,7 @@ class Lockstep:
         robot; None: the configured start."""
         names = [p.name for p in PROCESSES if p.hosted and p.name not in config.without]
         self.robot = build(config if placed is None else config.model_copy(update={"origin": placed}))
-        stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP / NS)}
+        stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP_PERIOD / NS)}
         stages |= build_stages(config, names)
         self._log = log
         self.config = config
@@ -149,11 +149,11 @@ class Lockstep:
 
     def step(self) -> None:
         """5 ms."""
-        self.host.tick(self.host.now + STEP)
+        self.host.tick(self.host.now + STEP_PERIOD)
 
     def run(self, seconds: float) -> None:
         """That long."""
-        for _ in range(round(seconds * NS / STEP)):
+        for _ in range(round(seconds * NS / STEP_PERIOD)):
             self.step()
 
     def run_until(self, condition: Callable[[], bool], timeout: float, what: str = "the condition") -> None:

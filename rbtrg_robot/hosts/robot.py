@@ -17,7 +17,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import GUARD, StackConfig
 from rbtrg_robot.hosts.memory import keep_what_is_loaded
 from rbtrg_robot.processes import BY_NAME, PROCESSES
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
@@ -58,7 +58,7 @@ def _simulator(config: StackConfig, restored: dict[Topic, bytes], begin: int) ->
         truth = messages.decode(restored[t.TRUTH], t.TRUTH.kind)
         place = truth.pose.pose
         start = (place.position.x, place.position.y, yaw_of(place.orientation))
-        start_time = stamp_of(truth) // STEP * STEP
+        start_time = stamp_of(truth) // STEP_PERIOD * STEP_PERIOD
     return MujocoBackend(
         config.load_scene(),
         config.sim,
@@ -191,7 +191,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
         pace = Pace(now)
         while not stopping():
             heart.beat()
-            ahead = (now + STEP - pace.target()) / NS if config.simulated else STEP / NS
+            ahead = (now + STEP_PERIOD - pace.target()) / NS if config.simulated else STEP_PERIOD / NS
             inbox = bus.take(min(max(ahead, 0.0), 0.005))
             if not config.simulated:
                 stage.now = bus.clock()
@@ -206,8 +206,8 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
                 publish(bus, stage.tick(now), now)
                 continue
             target = pace.target()
-            while now + STEP <= target and not stopping():
-                now += STEP
+            while now + STEP_PERIOD <= target and not stopping():
+                now += STEP_PERIOD
                 publish(bus, stage.tick(now), now)
                 stage.realtime_factor = pace.at(now)
                 if bus.waiting:

@@ -13,7 +13,7 @@ from hal.safety.monitors import STRANGER, raised
 from hal.types import NS, ModeRequest, Phase
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.stages.navigation.goal import CHANGED, arrival
+from rbtrg_robot.stages.navigation.goal import CHANCE_CHANGED, arrival
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP
 from rbtrg_robot.wire.frames import MapFrame
@@ -187,7 +187,7 @@ class Events:
         if not status.chance_change:
             self._chance = math.nan
         elif (
-            not abs(status.p_fail - self._chance) < CHANGED
+            not abs(status.p_fail - self._chance) < CHANCE_CHANGED
         ):  # every plan differs a little from the one before
             self._chance = status.p_fail
             self.happened("chance", status.chance_change, INFO, status.owner)

@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 UNKNOWN = "unknown request"
 HANDS_LAST = NS
 """[ns] the age of what hands saw is told after their last command."""
-MOST = 1 << 62
+LARGEST_LATCH = 1 << 62
 """Latch numbers from here on are not taken over: what rises from there does not fit into a message, and the next stop
 would end this process."""
 
@@ -129,7 +129,7 @@ class CommandPath:
 
     def restore(self, message: msg.RobotState) -> None:
         """Take back what was latched before a restart: a stop outlives a crash."""
-        self._latch = message.latch if 0 <= message.latch < MOST else 0
+        self._latch = message.latch if 0 <= message.latch < LARGEST_LATCH else 0
         if message.estop:
             self._gate.stop(StopCause.OPERATOR, message.estop_cause.removeprefix(f"{StopCause.OPERATOR}: "))
             self._latched = True

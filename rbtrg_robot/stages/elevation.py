@@ -37,7 +37,7 @@ from rbtrg_robot.stages.handover import Handover, possible
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.navigation.reasons import LOCATED
-from rbtrg_robot.stages.prior import NOTHING, Prior
+from rbtrg_robot.stages.prior import NO_POINTS, Prior
 from rbtrg_robot.stages.scans import Scan, Scans, rehearsal
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -219,7 +219,7 @@ class ElevationStage:
         self._fused = stamp
         seen = []
         for name, sensor in self._sensors.items():
-            points = clouds.get(name, NOTHING)
+            points = clouds.get(name, NO_POINTS)
             self._silent[name] = 0 if len(points) else self._silent[name] + 1
             if len(points):
                 self.map.fuse(points, position, orientation, stamp, sensor, *sigmas)
@@ -230,7 +230,7 @@ class ElevationStage:
             self.map.find_plants()
         # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not
         # look at; nor where the wheels come to ground before a LiDAR has seen it.
-        looks = "head" not in self._sensors or len(clouds.get("head", NOTHING)) > 0
+        looks = "head" not in self._sensors or len(clouds.get("head", NO_POINTS)) > 0
         self.map.grant(self._silent.get("head", 0) < SILENT_SCANS and not self._crept)
         if joints is not None:
             start = None if looks and not self._crept else False
@@ -314,7 +314,7 @@ class ElevationStage:
             why = "moves" if target is None else "does not know where it is"
             self._detail, self._status_due = f"the map was not loaded: the robot {why}", 0
             return []
-        cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
+        cloud = cloud_points(message.cloud) if message.cloud.point_step else NO_POINTS
         cloud = checked_cloud(cloud, "the loaded map")
         start = self._frame.offset if target is None else target[0]
         prior = Prior(

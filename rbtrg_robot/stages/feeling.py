@@ -21,9 +21,9 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.convert import MAP, point, yaw_quaternion
 from rbtrg_robot.wire.messages import header
 
-HOLD = NS
+HOLD_FOR = NS
 """[ns] for which nothing moves but away from it: the map has it by then, and the guard stops before it..."""
-TOLD = 10 * NS
+TOLD_FOR = 10 * NS
 """... and for which the operator reads of it at least."""
 
 
@@ -82,7 +82,7 @@ class Feeling:
 
     def limits(self, now: int) -> MotionLimits | None:
         """The guard's, and no motion but away from what was just touched."""
-        if self._limits is None or self._last is None or not 0 <= now - self._last[1] < HOLD:
+        if self._limits is None or self._last is None or not 0 <= now - self._last[1] < HOLD_FOR:
             return self._limits
         (way, _), _, words = self._last
         held = replace(self._limits, left=0.0, right=0.0, reason=words)
@@ -90,7 +90,7 @@ class Feeling:
 
     def words(self, now: int) -> str:
         """Of the last touch; empty where it is long ago."""
-        return self._last[2] if self._last is not None and 0 <= now - self._last[1] < TOLD else ""
+        return self._last[2] if self._last is not None and 0 <= now - self._last[1] < TOLD_FOR else ""
 
     def _uneven(self, vx: float) -> float:
         """[m]; infinite where no guard tells."""

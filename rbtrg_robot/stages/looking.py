@@ -5,7 +5,7 @@ from __future__ import annotations
 from hal.safety.trunk import LAG, STANDS, TILT_RATE
 from hal.types import NS
 
-HOLD = 0.25
+HOLD_TIME = 0.25
 """[s] at the lowest: two sweeps."""
 
 
@@ -17,7 +17,7 @@ class Look:
         """`pitch` [rad], nose down."""
         self._pitch = pitch
         way = pitch / TILT_RATE
-        self._down, self._whole = round((way + HOLD) * NS), round((2.0 * way + HOLD + LAG) * NS)
+        self._down, self._whole = round((way + HOLD_TIME) * NS), round((2.0 * way + HOLD_TIME + LAG) * NS)
         self._begun: int | None = None
         self.over = False
         """The trunk is level again."""

@@ -18,11 +18,11 @@ from planning.search.plan import Plan, PlanRequest, plan
 from planning.search.to_go import way_to_go
 from rbtrg_robot.stages.walls import wall_up, windows
 
-WHOLE = 500_000
+WHOLE_CELLS = 500_000
 """Cells of a map on which a whole graph is drawn anew: up to 0.4 s. On larger ones other nodes are drawn in places."""
-AROUND = 5.0
+REDRAWN_AROUND = 5.0
 """[m] around such a place."""
-MANY = 100
+MANY_TILES = 100
 """Tiles, 650 m^2: a graph on so much new ground takes half a second."""
 Box = tuple[int, int, int, int]
 """Lattice cells: first row, first column, row and column after the last."""
@@ -67,7 +67,7 @@ class MapGraph:
         """An answer would take long: `sync` and `prepare` do most of it before one is asked for."""
         epoch, tiles = self._synced
         followed = self.graph is not None and epoch == self.mirror.epoch
-        return len(self.mirror) > (tiles if followed else 0) + MANY
+        return len(self.mirror) > (tiles if followed else 0) + MANY_TILES
 
     def apply(self, patch: MapPatch) -> None:
         """Take a block. Raises MapError."""
@@ -136,8 +136,8 @@ class MapGraph:
     def sampled(self) -> int:
         """Cells of the map on which `sample_anew` draws other nodes, at most."""
         grid = self.ground()
-        size, place = grid.height.size, (2.0 * AROUND / grid.resolution) ** 2
-        return size if size <= WHOLE else min(size, 3 * round(place))
+        size, place = grid.height.size, (2.0 * REDRAWN_AROUND / grid.resolution) ** 2
+        return size if size <= WHOLE_CELLS else min(size, 3 * round(place))
 
     def sample_anew(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
         """A passage hardly wider than the robot may hold no edge of this graph: another one from other samples takes
@@ -146,14 +146,16 @@ class MapGraph:
         around the `goal` x, y [m] alone."""
         grid, graph = self.ground(), self.graph
         self.seed += 1
-        if graph is None or grid.height.size <= WHOLE:
+        if graph is None or grid.height.size <= WHOLE_CELLS:
             self.graph = None
             self.sync(start)
             return
         nodes = graph.nodes[:, :2]
         line = np.hypot(*(nodes - goal).T)
         end = nodes[np.lexsort((line, way_to_go(grid, nodes, goal)))[:1]]
-        self.graph = graph.redrawn(grid, np.vstack([start, end, goal]), AROUND, self.seed - graph.seed)
+        self.graph = graph.redrawn(
+            grid, np.vstack([start, end, goal]), REDRAWN_AROUND, self.seed - graph.seed
+        )
 
     def ground(self) -> ElevationGrid:
         """The grid of the graph. Raises NoRoute."""

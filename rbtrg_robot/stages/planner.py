@@ -43,11 +43,11 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_parts, map_patch
 from rbtrg_robot.wire.messages import header
 
-BACK = 2
+PARTS_PER_TICK = 2
 """Parts of the map that a restarted elevation process gets in one tick."""
-SETTLED = 300_000_000
+MAP_SETTLED = 300_000_000
 """[ns] without a block of the map: the whole of a prior map has come. While the robot maps, blocks come every 0.5 s."""
-AGAIN = 1_500_000_000
+ASK_AGAIN = 1_500_000_000
 """From the last part until all are sent, or asked for, once more [ns]; shorter than a restarted elevation process waits
 for one."""
 
@@ -117,10 +117,10 @@ class PlannerStage:
         """How many parts come."""
         self._came: set[int] = set()
         """Those that have come."""
-        self._heard = -AGAIN
+        self._heard = -ASK_AGAIN
         """When the newest one came [ns]."""
         self._returning = MapBlocks()
-        self._returned = -AGAIN
+        self._returned = -ASK_AGAIN
         """When its newest part was sent [ns]."""
         self._verdict = (True, "")
         self._checked_version = -1
@@ -200,7 +200,7 @@ class PlannerStage:
     def _return_map(self) -> Outputs:
         """The map for an elevation process that lost it, part by part. It may have all of it and be slow: what is lost
         is sent again later."""
-        if (due := self._next_parts()) or 0 <= self._now - self._returned < AGAIN:
+        if (due := self._next_parts()) or 0 <= self._now - self._returned < ASK_AGAIN:
             return due
         self._returned = self._now
         mirror = self._map.mirror
@@ -208,7 +208,7 @@ class PlannerStage:
         return self._returning.begin("mirror", ((t.MAP_MIRROR, part) for part in parts))
 
     def _next_parts(self) -> Outputs:
-        parts = self._returning.due(BACK)
+        parts = self._returning.due(PARTS_PER_TICK)
         self._returned = self._now if parts else self._returned
         return parts
 
@@ -281,7 +281,7 @@ class PlannerStage:
         self._status_due = now + NS // 2
         outputs.append((t.ROUTE_STATUS, self._status(now)))
         # Just started, it asks for what was published before.
-        if (self._incomplete or not self._map.known) and not 0 <= now - self._heard < AGAIN:
+        if (self._incomplete or not self._map.known) and not 0 <= now - self._heard < ASK_AGAIN:
             outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="parts")))
         return outputs
 
@@ -292,7 +292,10 @@ class PlannerStage:
             self._unprepared = False
             self._map.prepare()
         elif (
-            due and self._map.much_is_new and self._start is not None and self._now - self._patched >= SETTLED
+            due
+            and self._map.much_is_new
+            and self._start is not None
+            and self._now - self._patched >= MAP_SETTLED
         ):
             self._sync(self._start)
             self._unprepared = True

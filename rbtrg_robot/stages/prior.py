@@ -14,7 +14,7 @@ from mapping.relocalise.door import OwnFinder
 from rbtrg_robot.stages.location import Location
 from rbtrg_robot.wire.frames import Planar
 
-NOTHING = np.empty((0, 3), np.float32)
+NO_POINTS = np.empty((0, 3), np.float32)
 
 
 @dataclass(slots=True)
@@ -27,7 +27,7 @@ class Prior:
     start: Planar = (0.0, 0.0, 0.0)
     """x, y [m], yaw [rad] of `odom` in it, as it is thought to be."""
     patches: tuple[MapPatch, ...] = ()
-    cloud: NDArray[np.float32] = field(default_factory=lambda: NOTHING)
+    cloud: NDArray[np.float32] = field(default_factory=lambda: NO_POINTS)
     """x, y, z [m], shape (n, 3)."""
     stamp: int = 0
     """Of the message that brought it [ns]; 0 for one from a file."""

@@ -46,12 +46,12 @@ from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg, truth_msg, xy
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import array, header, stamp_of
 
-STEP = 5_000_000
+STEP_PERIOD = 5_000_000
 """Gate and simulator period [ns]."""
 CLOCK_EVERY = 2
 STATE_PERIOD = NS // 10
 DIAGNOSTICS_PERIOD = NS
-SETTLE = NS
+SETTLE_TIME = NS
 """Time [ns] that a restarted process gets to end what it left. A restarted navigator appears before it has told the
 tracker that its goal is over."""
 POSE_LIMIT = 0.3
@@ -151,7 +151,7 @@ class RobotStage:
         if alive:
             self._missing.discard(process)
             if process in self._lost:
-                self._settled = self.now + SETTLE
+                self._settled = self.now + SETTLE_TIME
         else:
             self._missing.add(process)
             self._lost.add(process)

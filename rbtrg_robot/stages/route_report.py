@@ -19,7 +19,7 @@ from rbtrg_robot.wire.convert import MAP, point, yaw_quaternion
 from rbtrg_robot.wire.messages import array, header
 
 F64 = "float64"
-EVERY = 5
+EVERY_SAMPLE = 5
 """Samples of the path between two in a report: 0.1 m."""
 
 
@@ -75,7 +75,7 @@ class RouteBase:
             name: array([max((p[name] for p in x.peak.values()), default=0.0) for x in each], F64)
             for name in ("d_fb", "a_lr", "p_int")
         }
-        few = _some(path, EVERY)
+        few = _some(path, EVERY_SAMPLE)
         alternative = np.zeros((0, 3)) if native is None else native.points
         transitions = {
             "length": [x.length for x in each],

@@ -19,7 +19,7 @@ from rbtrg_robot.wire.messages import stamp_of
 
 WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
-POSES, CLOUDS, JOINTS = 50, 10, 100
+KEPT_POSES, KEPT_CLOUDS, KEPT_JOINTS = 50, 10, 100
 """Kept at most."""
 
 
@@ -53,7 +53,7 @@ class Scans:
     def joints(self, sample: JointSample) -> None:
         """A sample of the joints; they come in order."""
         self._joints.append(sample)
-        del self._joints[:-JOINTS]
+        del self._joints[:-KEPT_JOINTS]
 
     def forget(self) -> None:
         """Drop poses and clouds that wait: the map begins anew."""
@@ -73,9 +73,9 @@ class Scans:
             for waiting in (self._poses, self._clouds):
                 for old in [s for s in waiting if s < stamp]:
                     del waiting[old]
-        while len(self._poses) > POSES:
+        while len(self._poses) > KEPT_POSES:
             self._poses.popitem(last=False)
-        while len(self._clouds) > CLOUDS:
+        while len(self._clouds) > KEPT_CLOUDS:
             self._clouds.popitem(last=False)
 
     def _joints_at(self, stamp: int) -> JointSample | None:

@@ -13,7 +13,7 @@ from mapping.elevation.exchange import MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot.wire.convert import LayoutError, map_patch
 
-OLDEST = 0.5
+OLDEST_WINDOW = 0.5
 """[s] of a window that still tells the ground; one comes after each sweep."""
 MOST_UNKNOWN = 0.5
 """Share of the places that nobody saw, beyond which a controller is told that it sees no ground."""
@@ -55,8 +55,8 @@ class Sight:
             return self._nothing("no map came yet")
         if place is None:
             return self._nothing("the pose is not known")
-        if abs(now - window.stamp) > OLDEST * NS:
-            return self._nothing(f"the map is older than {OLDEST} s")
+        if abs(now - window.stamp) > OLDEST_WINDOW * NS:
+            return self._nothing(f"the map is older than {OLDEST_WINDOW} s")
         (x, y, z), yaw = place
         c, s = math.cos(yaw), math.sin(yaw)
         at = np.array([x, y]) + self._places @ np.array([[c, s], [-s, c]])

@@ -25,7 +25,7 @@ from rbtrg_robot.wire.messages import header, stamp_of
 
 LOOKING = "looking"
 """Phase beside those of `TrackPhase`."""
-STEEPEST = 0.5 * math.pi
+STEEPEST_LOOK = 0.5 * math.pi
 """A look down by more is a broken message [rad]."""
 
 
@@ -93,7 +93,7 @@ class TrackerStage:
         self._look = None
         if len(message.x) == 0:
             self._tracker.clear()
-            if 0.0 < message.look <= STEEPEST:
+            if 0.0 < message.look <= STEEPEST_LOOK:
                 self._look = Look(message.look)
             elif message.look != 0.0:
                 self._path_fault = f"path refused: nobody looks down by {message.look:g} rad"

@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from hal.safety.geofence import Fence, Geofence
 from mapping.grid import ElevationGrid
 
-HEIGHT = 2.0
+WALL_HEIGHT = 2.0
 """[m] over the ground: nothing drives over it."""
-ROOM = 0.12
+WALL_ROOM = 0.12
 """[m] on both sides of a side: the gate stops a body 0.06 m before it, and a robot strays from its path by a few
 centimetres."""
 Cells = NDArray[np.bool_]
 
 
 def wall_up(grid: ElevationGrid, fence: Fence) -> None:
-    """Change the grid in place: its cells within `ROOM` of a side, and all of what the robot keeps out of, become walls
-    that are known."""
+    """Change the grid in place: its cells within `WALL_ROOM` of a side, and all of what the robot keeps out of, become
+    walls that are known."""
     for polygon in fence.polygons:
         r0, c0, r1, c1 = _box(polygon, grid.resolution, grid.origin)
         r0, c0, r1, c1 = max(r0, 0), max(c0, 0), min(r1, grid.shape[0]), min(c1, grid.shape[1])
@@ -27,7 +27,7 @@ def wall_up(grid: ElevationGrid, fence: Fence) -> None:
         part = np.s_[r0:r1, c0:c1]
         wall = _wall(grid, polygon, r0, c0, (r1 - r0, c1 - c0))
         height = grid.height[part]
-        height[wall] = np.nan_to_num(height[wall]) + HEIGHT
+        height[wall] = np.nan_to_num(height[wall]) + WALL_HEIGHT
         grid.trusted[part][wall] = True
         for mask in (grid.virtual, grid.plants, grid.holes):
             if mask is not None:
@@ -47,8 +47,8 @@ def _box(
     """First row, first column, row and column after the last that its walls may lie in; cell [0, 0] is at `origin`
     [m]."""
     xy = np.array(polygon.corners) - origin
-    c0, r0 = np.floor((xy.min(axis=0) - ROOM) / resolution).astype(int) - 1
-    c1, r1 = np.ceil((xy.max(axis=0) + ROOM) / resolution).astype(int) + 2
+    c0, r0 = np.floor((xy.min(axis=0) - WALL_ROOM) / resolution).astype(int) - 1
+    c1, r1 = np.ceil((xy.max(axis=0) + WALL_ROOM) / resolution).astype(int) + 2
     return int(r0), int(c0), int(r1), int(c1)
 
 
@@ -56,7 +56,7 @@ def _wall(grid: ElevationGrid, polygon: Geofence, r0: int, c0: int, shape: tuple
     """Which cells of the box are wall."""
     wall = np.zeros(shape, np.bool_)
     res = grid.resolution
-    reach = ROOM + 0.5 * np.sqrt(2.0) * res
+    reach = WALL_ROOM + 0.5 * np.sqrt(2.0) * res
     corners = (np.array(polygon.corners) - grid.origin) / res - (c0, r0)
     k = int(np.ceil(reach / res))
     near = np.argwhere(np.hypot(*np.mgrid[-k : k + 1, -k : k + 1]) * res <= reach) - k

@@ -27,23 +27,23 @@ from planning.search.frontier import Tried
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
-from rbtrg_robot.stages.map_graph import WHOLE, MapGraph
+from rbtrg_robot.stages.map_graph import WHOLE_CELLS, MapGraph
 
-NEAR = 1.0
+NO_PLAN_WITHIN = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later,
 may have one."""
-REDRAWS, AT_LEAST = 5, 2
-"""Other graphs that are searched at once; fewer, but some, where more cells than `WHOLE` would be drawn anew
+MOST_REDRAWS, AT_LEAST = 5, 2
+"""Other graphs that are searched at once; fewer, but some, where more cells than `WHOLE_CELLS` would be drawn anew
 together."""
-LOST = 2.0
+LOST_MARGIN = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may
 have been lost."""
-DEAR = 10.0
+DEAR_LEG = 10.0
 """[m] A leg of a way that costs so much more than it is long, such as a turn over the edge of a kerb, is a reason as
 well."""
-WAYS = 4
+WAYS_TRIED = 4
 """Tried, where they begin with ground that cannot be seen."""
-LEFT = 1.5
+EDGE_LEFT = 1.5
 """[m] from where it crept last, all over ground that was seen, a robot stands at no edge that nobody saw: a creep is
 half a body long."""
 
@@ -110,7 +110,7 @@ class WaySearch:
             self._begin(message.goal_id)
         here = message.start_x, message.start_y
         self.begins(terrain, here)
-        if self._crept is not None and math.dist(here, self._crept) > LEFT:
+        if self._crept is not None and math.dist(here, self._crept) > EDGE_LEFT:
             self._crept = None
         self._tried.at(here, terrain.grid)
         try:
@@ -149,7 +149,7 @@ class WaySearch:
         self._forward = False
         before = terrain.graph
         self._hidden = [disc for disc in self._hidden if is_hidden(before, disc[0], disc[1])]
-        for way in range(WAYS):
+        for way in range(WAYS_TRIED):
             try:
                 found, whole = self._in_graphs(terrain, message, driven)
             except NoRoute:
@@ -207,7 +207,7 @@ class WaySearch:
         if found is None or _lost(before, found[0]) or _dear(found[0]):
             kept = terrain.graph, terrain.table
             start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
-            for _ in range(min(REDRAWS, max(AT_LEAST, WHOLE // terrain.sampled))):
+            for _ in range(min(MOST_REDRAWS, max(AT_LEAST, WHOLE_CELLS // terrain.sampled))):
                 try:
                     terrain.sample_anew(start, goal)
                     other = self._plan(terrain, message, None)
@@ -243,7 +243,7 @@ class WaySearch:
             found = self._other(terrain.ground(), request)
             return found, self.path_of(terrain, found)
         found = terrain.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
-        if found.short > NEAR and not found.transitions:
+        if found.short > NO_PLAN_WITHIN and not found.transitions:
             why = "no way leads nearer to the goal than here: choose another goal, or clear the way"
             raise NoRoute(NoRouteReason.NO_ROUTE, why)
         if found.kept and driven is not None:
@@ -257,9 +257,9 @@ def _lost(before: Plan | None, plan: Plan) -> bool:
     to be paid. The way to a frontier tells little of what lies behind it."""
     if before is None or before.reaches_goal is not plan.reaches_goal:
         return before is not None and before.reaches_goal
-    return plan.worth > before.worth + LOST
+    return plan.worth > before.worth + LOST_MARGIN
 
 
 def _dear(plan: Plan) -> bool:
     """Whether a plan that is not the way driven so far has a leg that costs much more than it is long."""
-    return not plan.kept and any(t.cost - t.length > DEAR for t in plan.transitions)
+    return not plan.kept and any(t.cost - t.length > DEAR_LEG for t in plan.transitions)

@@ -16,12 +16,12 @@ from rbtrg_robot.stages.navigation.reasons import Reason, words
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.messages import header, stamp_of
 
-SILENCE = 10.0
+LONGEST_SILENCE = 10.0
 """[s] without a word of the navigator about the goal."""
 POSTURE_LIMIT = 30.0
 """[s] for getting up or lying down."""
 POSTURE_REPEAT = NS // 5
-SETTLE = NS
+SETTLE_TIME = NS
 """After this long [ns] the robot's state is an answer to the order and not of before."""
 PHOTO_LIMIT, PHOTO_REPEAT = 30.0, 2 * NS
 """[s] for a photo, and [ns] from one request to the next: a camera that nobody looked at loads with the first."""
@@ -112,7 +112,7 @@ class Attempt:
         if goal is not None and ours:
             self._heard = max(self._heard, stamp_of(goal))
         if goal is None or not ours or (state := GoalState(goal.state)).active:
-            if (now - self._heard) / NS > SILENCE:
+            if (now - self._heard) / NS > LONGEST_SILENCE:
                 silent = "the navigator does not answer; see `rbtrg-robot status`"
                 return Verdict(Outcome.NEEDS_OPERATOR, silent)
             return RUNNING
@@ -130,7 +130,7 @@ class Attempt:
         return Verdict(Outcome.FAILED, f"no answer within {self._step.timeout:g} s") if late else RUNNING
 
     def _of_posture(self, age: float, robot: msg.RobotState | None) -> Verdict:
-        settled = robot is not None and stamp_of(robot) - self._began > SETTLE
+        settled = robot is not None and stamp_of(robot) - self._began > SETTLE_TIME
         if robot is not None and settled:
             if robot.phase in POSTURES[self._kind]:
                 return DONE

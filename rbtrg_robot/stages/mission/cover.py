@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
-from rbtrg_robot.stages.mission.explore import LISTED
-from rbtrg_robot.stages.mission.order import APART, Kind
-from rbtrg_robot.stages.mission.reserve import SPEED
+from rbtrg_robot.stages.mission.explore import LISTED_PLACES
+from rbtrg_robot.stages.mission.order import GOAL_SPACING, Kind
+from rbtrg_robot.stages.mission.reserve import HOME_SPEED
 from rbtrg_robot.stages.mission.way_home import Place
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.stage import Outputs
@@ -61,7 +61,7 @@ def _row(area: NDArray[np.float64], y: float, swath: float) -> list[Place]:
     for begin, end in at.reshape(-1, 2):
         inset = min(0.5 * swath, 0.5 * (end - begin))
         first, last = begin + inset, end - inset
-        steps = math.ceil((last - first) / APART - 1e-9)
+        steps = math.ceil((last - first) / GOAL_SPACING - 1e-9)
         row += [(first + (last - first) * k / max(steps, 1), y) for k in range(steps + 1)]
     return row
 
@@ -138,7 +138,7 @@ class Coverage:
                 return drive
             if drive.outcome is not Outcome.RUNNING:
                 self._ended(drive)
-        back = way / SPEED if self._home and math.isfinite(way) else 0.0
+        back = way / HOME_SPEED if self._home and math.isfinite(way) else 0.0
         if 0.0 < self._limit < (now - self._began) / NS + back:
             return self._end(f"the {self._limit / 60:g} minutes are over")
         if low:
@@ -166,8 +166,8 @@ class Coverage:
     def _end(self, why: str) -> Verdict:
         named = [f"{_place(self._places[k])} ({reason})" for k, reason in sorted(self._left.items())]
         named += [f"{_place(self._places[k])} (not driven to yet)" for k in self._todo]
-        listed = "".join(f"; left {place}" for place in named[:LISTED])
-        more = f"; and {len(named) - LISTED} more" if len(named) > LISTED else ""
+        listed = "".join(f"; left {place}" for place in named[:LISTED_PLACES])
+        more = f"; and {len(named) - LISTED_PLACES} more" if len(named) > LISTED_PLACES else ""
         none = len(named) == len(self._places)
         return Verdict(Outcome.FAILED if none else DONE.outcome, f"{why}: {self.progress}{listed}{more}")
 

@@ -34,11 +34,11 @@ from rbtrg_robot.wire.convert import MAP, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header, stamp_of
 
-KNOWN = 1000
+KNOWN_REQUESTS = 1000
 """Requests whose ids are remembered: a late repeat must not do anything."""
-HERE = 1.0
+HOME_RADIUS = 1.0
 """[m] A robot so near to home is at home."""
-TELL = NS
+TELL_PERIOD = NS
 """Between two states where nothing changed [ns]."""
 
 
@@ -84,7 +84,7 @@ class MissionStage:
         self._map: msg.MapStatus | None = None
         self._left: msg.MissionOrder | None = None
         """Order of a process that is gone; its state follows."""
-        self._known: deque[str] = deque(maxlen=KNOWN)
+        self._known: deque[str] = deque(maxlen=KNOWN_REQUESTS)
         self._sent, self._taken_over = "", False
         """The newest goal of somebody, and whether a mission took its place or brought the robot home since."""
         self._warned = False
@@ -160,7 +160,7 @@ class MissionStage:
         """That the battery will be needed for the way home."""
         world, mission = self._world, self._runner.mission
         running = mission is not None and mission.phase.active
-        away = world.way.length > HERE and not (mission is not None and running and mission.returning)
+        away = world.way.length > HOME_RADIUS and not (mission is not None and running and mission.returning)
         stays = mission.order.no_return if mission and running else not self._sent_out
         return "" if stays or not away else world.reserve.warning(world.way.length)
 
@@ -172,7 +172,7 @@ class MissionStage:
             return []
         if world.theirs and goal.id != self._sent:
             self._sent, self._taken_over, world.contact = goal.id, False, world.now
-        if self._taken_over or not world.way.length > HERE:
+        if self._taken_over or not world.way.length > HOME_RADIUS:
             return []
         if hindrance(world.robot) or absence(world.robot, None):
             self._taken_over |= not world.theirs  # nothing moves when they let it go, until it is sent again
@@ -182,7 +182,7 @@ class MissionStage:
         if not world.theirs and present and present.phase.active:
             return []  # paused: it goes on only when told to
         home = self.home
-        comes = world.theirs and home is not None and math.dist((goal.x, goal.y), home[:2]) < HERE
+        comes = world.theirs and home is not None and math.dist((goal.x, goal.y), home[:2]) < HOME_RADIUS
         low = "" if goal.no_return or comes else world.reserve.short(world.way.length)
         silent = world.now - (world.contact or world.now) > self._comms.timeout * NS
         lost = world.theirs and silent and self._comms.on_loss != OnCommsLoss.CONTINUE
@@ -324,7 +324,7 @@ class MissionStage:
             return []
         self._runner.changed = False
         now, mission = self._world.now, self._runner.mission
-        self._due = now + TELL
+        self._due = now + TELL_PERIOD
         idle = msg.MissionState(header=header(now, MAP), phase=Phase.IDLE.value)
         state = mission.state(now) if mission else idle
         state.request, state.refused = self._answer

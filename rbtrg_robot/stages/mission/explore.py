@@ -18,23 +18,23 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
 from rbtrg_robot.stages.mission.order import Kind
-from rbtrg_robot.stages.mission.reserve import SPEED
+from rbtrg_robot.stages.mission.reserve import HOME_SPEED
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.convert import MAP
 from rbtrg_robot.wire.messages import array, header
 
-STANDS, DRIVES = 0.7, 2.0
+STANDING_PERIOD, DRIVING_PERIOD = 0.7, 2.0
 """Seconds between two questions while the robot stands and while it drives. The map changes every 0.5 s."""
-SILENCE, GIVE_UP = 6.0, 40.0
+ASK_AGAIN, GIVE_UP = 6.0, 40.0
 """[s] without an answer, after which the question is sent again, and after which an operator is needed."""
-HERE = 0.75
+SAME_VIEW = 0.75
 """[m] A place so near to one that was looked from is that place."""
-MOVED = 1.0
+PLACE_MOVED = 1.0
 """[m] by which the place driven to must have moved before the robot is told."""
-ANEW = 3
+OTHER_GRAPHS = 3
 """Other graphs that are searched before there is no place left."""
-LISTED = 8
+LISTED_PLACES = 8
 """Places left are told, at most."""
 UNREACHABLE = "no way leads there within the accepted risk"
 LOOKED = "the robot looked from there and saw no more"
@@ -118,8 +118,12 @@ class Exploration:
     def orders(self, now: int, pose: Pose2 | None = None) -> Outputs:
         """The next question, where it is due."""
         quiet = (now - self._asked) / NS
-        due = quiet >= SILENCE if self._open else quiet >= (DRIVES if self._target else STANDS)
-        if pose is None or not due or (now - self._stood) / NS < STANDS:
+        due = (
+            quiet >= ASK_AGAIN
+            if self._open
+            else quiet >= (DRIVING_PERIOD if self._target else STANDING_PERIOD)
+        )
+        if pose is None or not due or (now - self._stood) / NS < STANDING_PERIOD:
             return []
         self._asked, self._open = now, True
         self._sequence += 1
@@ -145,13 +149,13 @@ class Exploration:
         self._views = views
         if (here := self._looked) is not None:
             self._looked = None
-            if any(math.dist(here, xy) < HERE for xy in zip(views.x, views.y, strict=True)):
+            if any(math.dist(here, xy) < SAME_VIEW for xy in zip(views.x, views.y, strict=True)):
                 self._give_up(here, LOOKED, again=False)
                 return  # the next answer leaves it out
         if len(views.x):
             self._anew = 0
             first = float(views.x[0]), float(views.y[0])
-            if self._target is None or math.dist(first, self._target) > MOVED:
+            if self._target is None or math.dist(first, self._target) > PLACE_MOVED:
                 self._go(first)
         elif self._target is not None:
             self._go(None)
@@ -185,7 +189,7 @@ class Exploration:
         if self._open and (now - self._heard) / NS > GIVE_UP:
             refused = self._views.refused if self._views else ""
             return Verdict(Outcome.NEEDS_OPERATOR, refused or "the planner does not tell where to look from")
-        if self._target is None and self._anew > ANEW:
+        if self._target is None and self._anew > OTHER_GRAPHS:
             if any(place.again for place in self._given_up):
                 self._given_up = [place for place in self._given_up if not place.again]
                 self._retried, self._anew = True, 0
@@ -211,7 +215,7 @@ class Exploration:
             return ""
         if 0.0 < step.until <= self.coverage and len(step.area):
             return f"{100 * step.until:g} % of the area are seen"
-        back = way / SPEED if self._home is not None and math.isfinite(way) else 0.0
+        back = way / HOME_SPEED if self._home is not None and math.isfinite(way) else 0.0
         spent = (now - self._began) / NS
         return f"the {step.duration / 60:g} minutes are over" if 0.0 < step.duration < spent + back else ""
 
@@ -244,6 +248,6 @@ class Exploration:
             return Verdict(Outcome.FAILED, f"{why}; nothing was seen")
         self._go(None)
         left = self.left()
-        more = f"; and {len(left) - LISTED} more" if len(left) > LISTED else ""
-        listed = "".join(f"; left {place}" for place in left[:LISTED]) + more
+        more = f"; and {len(left) - LISTED_PLACES} more" if len(left) > LISTED_PLACES else ""
+        listed = "".join(f"; left {place}" for place in left[:LISTED_PLACES]) + more
         return Verdict(DONE.outcome, f"{why}: {self.progress}{listed}")

@@ -6,7 +6,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.mission import OURS
 from rbtrg_robot.stages.navigation.goal import GoalState
-from rbtrg_robot.stages.navigation.path_order import REPEAT
+from rbtrg_robot.stages.navigation.path_order import REPEAT_AFTER
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.messages import header
 
@@ -43,7 +43,7 @@ class GoalOrder:
         return out
 
     def _due(self, what: str, now: int) -> bool:
-        if 0 <= now - self._sent.get(what, -REPEAT) < REPEAT:
+        if 0 <= now - self._sent.get(what, -REPEAT_AFTER) < REPEAT_AFTER:
             return False
         self._sent[what] = now
         return True

@@ -59,7 +59,7 @@ MOST_RETRIES = 100
 MOST_CORNERS = 100
 LEAST_SWATH = 0.3
 """[m]"""
-APART = 4.0
+GOAL_SPACING = 4.0
 """[m] from one goal on a lane of a cover to the next, at most."""
 MOST_PLACES = 4000
 """Of those goals, by the diagonal of the area: what is remembered of them stays small."""
@@ -165,7 +165,7 @@ def _area_refusal(step: msg.MissionStep, kind: Kind) -> str:
         if not step.swath >= LEAST_SWATH:
             return f"a swath is at least {LEAST_SWATH} m"
         across = math.hypot(*np.ptp(step.area.reshape(-1, 2), axis=0))
-        most = (across / step.swath + 1.0) * (across / APART + 2.0)
+        most = (across / step.swath + 1.0) * (across / GOAL_SPACING + 2.0)
         return "" if most <= MOST_PLACES else "the area is too large for this swath: cover it in parts"
     if not 0.0 <= step.until <= 1.0:
         return "`until` is a share from 0 to 1"

@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 
 from hal.types import NS
-from rbtrg_robot.stages.mission.way_home import JUMP
+from rbtrg_robot.stages.mission.way_home import SET_JUMP
 from rbtrg_robot.stages.navigation.progress import Pose2
 
-MORE = 1.2
+RESERVE_FACTOR = 1.2
 """The way home may take so many times what driving cost so far."""
 PER_METRE = 0.0005
 """State of charge [0..1] that a metre is thought to take at least, and alone until driving took ENOUGH: a robot tells
 whole percents, so the first metres say little."""
-ENOUGH = 0.02
-SPARE = 0.01
+ENOUGH_CHARGE = 0.02
+SPARE_CHARGE = 0.01
 """State of charge [0..1] kept beside: to plan and to turn round takes some, and a robot tells whole percents."""
-AHEAD = 120.0
+TOLD_AHEAD = 120.0
 """[s] before the way home must begin it is told."""
-SPEED = 0.3
+HOME_SPEED = 0.3
 """[m/s] along ways home, by experience of explored ground."""
-MOVES = 0.005
+LEAST_MOVE = 0.005
 """[m] between two poses of a robot that drives."""
 
 
@@ -46,7 +46,7 @@ class Reserve:
             self._first, self._told = (battery, now), battery
         self._now, self._time = battery, now
         step = 0.0 if self._pose is None else math.dist(pose[:2], self._pose[:2])
-        drives = MOVES <= step < JUMP
+        drives = LEAST_MOVE <= step < SET_JUMP
         self._metres += step if drives else 0.0
         self._pose = pose
         self._poses += 1
@@ -58,7 +58,7 @@ class Reserve:
     @property
     def per_metre(self) -> float:
         """State of charge [0..1] that a metre takes."""
-        known = self._spent >= ENOUGH and self._metres > 0.0
+        known = self._spent >= ENOUGH_CHARGE and self._metres > 0.0
         return max(PER_METRE, self._spent / self._metres) if known else PER_METRE
 
     def left(self, way: float) -> float:
@@ -66,12 +66,12 @@ class Reserve:
         known."""
         if self._first is None or not math.isfinite(way):
             return math.inf
-        spare = self._now - self._floor - SPARE - MORE * self.per_metre * way
+        spare = self._now - self._floor - SPARE_CHARGE - RESERVE_FACTOR * self.per_metre * way
         if spare <= 0.0:
             return 0.0
         seconds = (self._time - self._first[1]) / NS
         drain = (self._first[0] - self._now) / seconds if seconds > 0.0 else 0.0
-        return spare / max(drain + MORE * self.per_metre * SPEED, 1e-9)
+        return spare / max(drain + RESERVE_FACTOR * self.per_metre * HOME_SPEED, 1e-9)
 
     def short(self, way: float) -> str:
         """Why a way home of so much [m] must begin now; empty while it need not."""
@@ -82,6 +82,6 @@ class Reserve:
     def warning(self, way: float) -> str:
         """What is told ahead; empty while there is time."""
         left = self.left(way)
-        if left > AHEAD or self.short(way):
+        if left > TOLD_AHEAD or self.short(way):
             return self.short(way)
         return f"in {left:.0f} s the battery ({100 * self._now:.0f} %) will be needed for the way home of {way:.0f} m"

@@ -23,7 +23,7 @@ RETRY_PAUSE = 2 * NS
 """From a failed try to the next one [ns]."""
 RETURN_TRIES = 3
 """More, of the way home."""
-ALONG = 4.0
+TRAIL_STRIDE = 4.0
 """[m] from one goal to the next on the way home along the trail."""
 
 
@@ -127,7 +127,7 @@ class Runner:
             gone = f"no operator in contact for {mission.order.comms_timeout:g} s"
             if mission.order.on_comms_loss == OnCommsLoss.RETURN:
                 self._give_up(mission, gone)
-                self._until_contact, self._places = True, self._world.way.places(ALONG)[:-1]
+                self._until_contact, self._places = True, self._world.way.places(TRAIL_STRIDE)[:-1]
             else:
                 self.halt(Phase.HOLDING, gone)
             return []

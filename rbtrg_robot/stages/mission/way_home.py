@@ -10,14 +10,14 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 
 Place = tuple[float, float]
 
-SPACING = 0.3
+PLACE_SPACING = 0.3
 """[m] between two places, and within which two of them are joined: less than the body is wide, so no wall stands
 between."""
 AT_HOME = 0.6
 """[m] A place so near to home is joined to it."""
-JUMP = 1.0
+SET_JUMP = 1.0
 """[m] A pose farther than this from the one before was set and not driven to."""
-DETOUR = 1.5
+DETOUR_FACTOR = 1.5
 """Home is thought to be so many times farther than straight on where the robot never was there."""
 
 
@@ -43,10 +43,10 @@ class WayHome:
     def take(self, pose: Pose2, home: Pose2 | None) -> None:
         """Where the robot is, and where home is."""
         here = pose[:2]
-        if self._pose is not None and math.dist(here, self._pose) >= JUMP:
+        if self._pose is not None and math.dist(here, self._pose) >= SET_JUMP:
             self._begin()  # what was driven lies elsewhere now
         self._pose = here
-        if self._at < 0 or math.dist(here, self._places[self._at]) >= SPACING:
+        if self._at < 0 or math.dist(here, self._places[self._at]) >= PLACE_SPACING:
             self._step(here)
         place = None if home is None else home[:2]
         if place != self._home:
@@ -54,7 +54,7 @@ class WayHome:
             self._aim()
 
     def _step(self, here: Place) -> None:
-        close = [k for k in self._around(here) if math.dist(here, self._places[k]) <= SPACING]
+        close = [k for k in self._around(here) if math.dist(here, self._places[k]) <= PLACE_SPACING]
         before, self._at = self._at, len(self._places)
         self._places.append(here)
         self._joined.append(set())
@@ -67,7 +67,7 @@ class WayHome:
         if self._home is not None and not self._known:
             if math.dist(here, self._home) <= AT_HOME:
                 return self._aim()
-            self._cost[self._at] = DETOUR * math.dist(here, self._home)
+            self._cost[self._at] = DETOUR_FACTOR * math.dist(here, self._home)
         for k in self._joined[self._at]:
             self._relax(k, self._at)
         self._spread([self._at])
@@ -89,7 +89,7 @@ class WayHome:
         self._known = away[nearest] <= AT_HOME
         starts = [nearest] if self._known else range(count)
         for k in starts:
-            self._cost[k] = away[k] if self._known else DETOUR * away[k]
+            self._cost[k] = away[k] if self._known else DETOUR_FACTOR * away[k]
         self._spread(list(starts))
 
     def _relax(self, start: int, end: int) -> bool:
@@ -135,4 +135,4 @@ class WayHome:
 
 
 def _cell(place: Place) -> tuple[int, int]:
-    return math.floor(place[0] / SPACING), math.floor(place[1] / SPACING)
+    return math.floor(place[0] / PLACE_SPACING), math.floor(place[1] / PLACE_SPACING)

@@ -16,7 +16,7 @@ from hal.safety.monitors import TOUCHED
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.progress import Pose2
 
-PLACE, HEADING = 0.5, math.radians(45.0)
+PLACE_RADIUS, HEADING_NEAR = 0.5, math.radians(45.0)
 """[m], [rad]: what was tried nearer than this was tried here."""
 
 
@@ -199,4 +199,4 @@ class Behaviours:
 
 
 def _near(a: Pose2, b: Pose2) -> bool:
-    return math.dist(a[:2], b[:2]) < PLACE and abs(wrap(a[2] - b[2])) < HEADING
+    return math.dist(a[:2], b[:2]) < PLACE_RADIUS and abs(wrap(a[2] - b[2])) < HEADING_NEAR

@@ -53,9 +53,9 @@ ACTIVE = (
 )
 
 
-CHANGED = 0.05
+CHANCE_CHANGED = 0.05
 """A chance that differs by less is much the same."""
-UNSEEN = 0.2
+UNSEEN_TOLD = 0.2
 """Less of a way over unseen ground [m] is not told."""
 
 
@@ -82,11 +82,13 @@ class GoalArea:
 
 def over_unseen(plan: msg.Plan) -> str:
     """How much of a way leads over ground that nobody saw or that is assumed, in plain words; empty for less than
-    `UNSEEN`. At most: each transition counts with the unseen share of its worst pose."""
+    `UNSEEN_TOLD`. At most: each transition counts with the unseen share of its worst pose."""
     if len(plan.transition_length) != len(plan.transition_unknown):
         return ""
     metres = float(plan.transition_length @ plan.transition_unknown)
-    return f"up to {metres:.1f} m of the way lead over ground that nobody saw" if metres >= UNSEEN else ""
+    return (
+        f"up to {metres:.1f} m of the way lead over ground that nobody saw" if metres >= UNSEEN_TOLD else ""
+    )
 
 
 def arrival(p_fail: float, worst: str) -> str:
@@ -99,8 +101,8 @@ def arrival(p_fail: float, worst: str) -> str:
 
 def chance_change(before: tuple[float, str], now: tuple[float, str]) -> str:
     """Why a chance is another than before, each as probability of failure and its worst place; empty for less than
-    `CHANGED`."""
-    if not abs(now[0] - before[0]) >= CHANGED:
+    `CHANCE_CHANGED`."""
+    if not abs(now[0] - before[0]) >= CHANCE_CHANGED:
         return ""
     was, is_ = (f"{100 * (1.0 - p):.0f} % (worst: {worst or 'nothing'})" for p, worst in (before, now))
     return f"the chance to arrive was {was}, it is {is_}"

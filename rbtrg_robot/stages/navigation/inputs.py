@@ -14,12 +14,12 @@ from rbtrg_robot.stages.navigation.reasons import Reason, absence, unlocated
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import stamp_of
 
-AHEAD = 0.2
+ROOM_AHEAD = 0.2
 """[m/s] that the guard must allow forward: it stops the robot within 0.1 m then."""
-HELD = 0.1
+TURN_HELD = 0.1
 """[rad/s] A turn that the guard lets go on no faster than this is held."""
 
-STANDS = 0.05
+WAY_HELD = 0.05
 """[m/s] A robot that the guard slows down to less than this is held."""
 
 
@@ -63,7 +63,7 @@ class Inputs:
     @property
     def room_ahead(self) -> bool:
         """Whether the guard lets the robot forward, a decimetre at least."""
-        return self.limits is not None and self.limits.forward >= AHEAD
+        return self.limits is not None and self.limits.forward >= ROOM_AHEAD
 
     @property
     def turn_held(self) -> float:
@@ -72,7 +72,7 @@ class Inputs:
         if self.limits is None or self.tracker is None or self.phase != "aligning":
             return 0.0
         error = self.tracker.heading_error
-        held = error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
+        held = error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < TURN_HELD
         return math.copysign(1.0, error) if held else 0.0
 
     @property
@@ -86,7 +86,7 @@ class Inputs:
     def held(self) -> set[float]:
         """The ways straight on that the guard holds: -1.0 backward, 1.0 forward."""
         ways = () if self.limits is None else ((-1.0, self.limits.backward), (1.0, self.limits.forward))
-        return {way for way, limit in ways if limit < STANDS}
+        return {way for way, limit in ways if limit < WAY_HELD}
 
     @property
     def way_held(self) -> bool:

@@ -18,8 +18,8 @@ from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import (
-    REST,
-    STRAY,
+    AT_REST,
+    STRAY_BESIDE,
     Budget,
     Pose2,
     ProgressMonitor,
@@ -36,16 +36,16 @@ from rbtrg_robot.wire.frames import MapFrame
 REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.KEPT_OUT, Reason.IN_OBSTACLE, Reason.TOO_RISKY)
 """Reasons that refuse a goal that never had a route; later they abort it."""
 PLANNER_SILENT = "the planner is silent"
-KNOWN = 1000
+KNOWN_GOALS = 1000
 """Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
 LOOKING = "looking at the ground ahead"
 CREEPING = "creeping over ground nobody saw"
 MOVE_ON = 0.15
 """[m]: the front wheels stay in the circle that the body turns in, which the planner has looked at."""
-HELD = 2.5
+HELD_REPLAN = 2.5
 """Seconds from a plan to the next one while the guard holds the robot: the tracker makes a bend of a short turn after 2
 s."""
-NEARER = 0.05
+ENDS_NEARER = 0.05
 """[m] by which a plan must end nearer to the goal than a robot that is there, or it is there for good."""
 LOOK_PITCH = math.radians(15.0)
 """Nose-down an XT16 sees level ground from 0.9 m on instead of 1.9 m, and over crests [rad]."""
@@ -94,7 +94,7 @@ class NavigatorStage:
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
-        self._known: deque[str] = deque(maxlen=KNOWN)
+        self._known: deque[str] = deque(maxlen=KNOWN_GOALS)
         self._pose: Pose2 | None = None
         self._inputs = Inputs()
         self._query = PlanQuery(params.replan_period)
@@ -104,7 +104,7 @@ class NavigatorStage:
         self._short = 0
         self._behaviours = self._afresh()
         self._order = PathOrder(step_vx)
-        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
+        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*AT_REST), Budget()
         self._trail = Trail(length, width)
         self._slide = Slide()
         self._trouble = ""
@@ -183,7 +183,7 @@ class NavigatorStage:
         if self._behaviours.at_edge:
             self._trail.forget()
         self._behaviours = self._afresh()
-        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
+        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*AT_REST), Budget()
         self._plan = None
         self._query.drop()
         self._missing_since, self._trouble, self._refused = 0, "", Reason.NONE
@@ -320,7 +320,7 @@ class NavigatorStage:
         if not broken and self._inputs.planner_silent(now, self._params.plan_retry):
             broken = PLANNER_SILENT
         beside = self._inputs.beside if on_path else 0.0
-        strayed = goal.state is GoalState.RECOVERING and beside > STRAY
+        strayed = goal.state is GoalState.RECOVERING and beside > STRAY_BESIDE
         if (self._slide.off(now, beside) or strayed) and not broken:
             broken = f"{beside:.2f} m beside its way"
         if broken:
@@ -334,7 +334,7 @@ class NavigatorStage:
             return self._recover(goal)
         turn = self._inputs.turn_held
         if goal.state is GoalState.MOVING and (turn or self._inputs.way_held):
-            if self._query.age(now) > HELD:
+            if self._query.age(now) > HELD_REPLAN:
                 if turn and self._pose is not None:
                     self._behaviours.hold_turn(self._pose, left=turn > 0.0)
                 self._replan(goal)
@@ -383,7 +383,7 @@ class NavigatorStage:
 
     def _ends_nearer(self, goal: Goal, plan: msg.Plan) -> bool:
         end = math.dist((plan.x[-1], plan.y[-1]), (goal.x, goal.y)) if len(plan.x) else math.inf
-        return end < self._distance(goal) - NEARER
+        return end < self._distance(goal) - ENDS_NEARER
 
     def _recover(self, goal: Goal) -> None:
         """Move out of the place, then replan around it; give up where that was done often enough. A robot that is at

@@ -13,21 +13,21 @@ from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.wire.messages import header
 
-REPEAT = NS // 2
+REPEAT_AFTER = NS // 2
 """Who works on something else than it was told, a tracker or a navigator, is told again after this long [ns]."""
 LONGEST_LOOK = 2.5 * NS
 """[ns] after which the robot plans without the look: the trunk did not come level, or the tracker is silent."""
 OUT_SPEED = 0.3
 """[m/s], or what the robot needs to come over faces: it may have been one that held it."""
-HEADING = math.radians(10.0)
+HEADING_TOLERANCE = math.radians(10.0)
 """A goal whose heading is farther off is not reached."""
 
 
 def heading_off(wanted: float | None, yaw: float) -> str:
     """In words how far a robot at its goal that looks along `yaw` [rad] is off the heading `wanted` [rad]; empty within
-    `HEADING`, or without one."""
+    `HEADING_TOLERANCE`, or without one."""
     off = 0.0 if wanted is None else abs(wrap(wanted - yaw))
-    if off <= HEADING:
+    if off <= HEADING_TOLERANCE:
         return ""
     return f"at the goal, but {math.degrees(off):.0f} deg off its heading: the robot could not turn there"
 
@@ -90,7 +90,7 @@ class PathOrder:
     def repeat(self, now: int, tracker: msg.TrackerState | None) -> msg.PathCommand | None:
         """The order again where it is due: a tracker that restarted has no path, one that missed a halt still has
         one."""
-        if self._path is None or tracker is None or self.obeyed(tracker) or now - self._sent <= REPEAT:
+        if self._path is None or tracker is None or self.obeyed(tracker) or now - self._sent <= REPEAT_AFTER:
             return None
         self._sent = now
         return self._path

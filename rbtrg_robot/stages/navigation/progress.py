@@ -24,28 +24,28 @@ STUCK_DISTANCE = 0.15
 """[m]: less than this in STUCK_SECONDS is no progress, unless it turned."""
 STUCK_ANGLE = 0.5
 """[rad]."""
-REST = 1.0, 0.02, 0.03
+AT_REST = 1.0, 0.02, 0.03
 """In so many seconds less than so many [m] and [rad]: the robot is at rest."""
-SECONDS, SLOW, PLACE = 25.0, 0.3, 1.0
+BUDGET_SECONDS, BUDGET_SPEED, NEW_PLACE = 25.0, 0.3, 1.0
 """[s] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] from all places before it a place is new:
 a robot that shuttles before what it cannot cross, from one frontier to the other, stays within a body length or two of
 where it was."""
-BESIDE = 0.15
+BESIDE_PATH = 0.15
 """[m] beside a path a robot is off it. Plans that keep the path that is driven reach as far."""
-STRAY = 0.10
+STRAY_BESIDE = 0.10
 """[m] beside the line of a recovery a robot is off the ground that it covered on its way: it stands and asks for a
 path. One that backed out of the edge of a bridge slid 0.22 m aside within a second and fell."""
 TRAIL_SPACING = 0.05
 TRAIL_LENGTH = 100
 TRAIL_ANGLE = 0.1
 """A turn on the spot is part of the trail, too [rad]."""
-COVERED = 0.05
+COVERED_BESIDE = 0.05
 """[m] beside the body's rectangle the ground still counts as covered by it."""
 
 
-UNDER = 0.04
+UNDER_BODY = 0.04
 """[m] around the corners of the body is what lies under it or its wheels."""
-EDGE = 0.03
+EDGE_RISE = 0.03
 """[m] that the ground rises over three samples of a path (6 cm): no ramp that may be driven is as steep."""
 
 
@@ -63,7 +63,7 @@ class RouteWatch:
 
     def __init__(self, radius: float) -> None:
         """`radius`: from base_link to a corner of the body [m]."""
-        self._under = radius + UNDER
+        self._under = radius + UNDER_BODY
         self._why = ""
         self._since = 0
 
@@ -84,7 +84,7 @@ class RouteWatch:
         if plan is None or pose is None:
             return False
         under = np.hypot(plan.x - pose[0], plan.y - pose[1]) < self._under
-        return bool((np.abs(plan.z[3:] - plan.z[:-3]) > EDGE)[under[3:] & under[:-3]].any())
+        return bool((np.abs(plan.z[3:] - plan.z[:-3]) > EDGE_RISE)[under[3:] & under[:-3]].any())
 
 
 class Slide:
@@ -96,7 +96,7 @@ class Slide:
 
     def off(self, now: int, beside: float) -> bool:
         """Whether it is off; `now` in ns, `beside` [m] the path."""
-        if beside <= BESIDE:
+        if beside <= BESIDE_PATH:
             self._began = None
         elif self._began is None:
             self._began = now, beside
@@ -158,10 +158,10 @@ class Budget:
         if self._last is not None:
             self._seconds += (now - self._last) / NS
         self._last = now
-        if all(math.dist(pose[:2], place[:2]) > PLACE for place in self._been):
+        if all(math.dist(pose[:2], place[:2]) > NEW_PLACE for place in self._been):
             self._been.append(pose)
             self._seconds = self._way = 0.0
-        late = GOAL_SPENT.outside(self._seconds, high=SECONDS + self._way / SLOW)
+        late = GOAL_SPENT.outside(self._seconds, high=BUDGET_SECONDS + self._way / BUDGET_SPEED)
         return GOAL_SPENT.tell(seconds=self._seconds) if late else ""
 
 
@@ -222,5 +222,5 @@ class Trail:
         dx, dy = (points[:, None, k] - trail[:, k] for k in (0, 1))
         c, s = np.cos(trail[:, 2]), np.sin(trail[:, 2])
         along, across = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
-        inside = (along < self._half + COVERED) & (across < self._side + COVERED)
+        inside = (along < self._half + COVERED_BESIDE) & (across < self._side + COVERED_BESIDE)
         return bool(inside.any(axis=1).all())

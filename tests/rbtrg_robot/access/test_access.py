@@ -30,7 +30,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.latch import number
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stages.navigation import navigator
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire.bus import Bus, BusError
@@ -191,11 +191,11 @@ def test_whatever_comes_on_the_topic_that_everybody_may_use_stops(mode: str) -> 
     gate = SafetyGate(world.backend.capabilities)
     stage = RobotStage(world.backend, gate, simulated=False, watched=frozenset())
     stage.warm_up()
-    world.advance(STEP / NS)
+    world.advance(STEP_PERIOD / NS)
     stage.tick(world.now)
     assert not gate.status().latched
     stage.on(t.ROBOT_STOP, t.ROBOT_STOP.kind(mode=mode, cause="bob"))
-    world.advance(STEP / NS)
+    world.advance(STEP_PERIOD / NS)
     stage.tick(world.now)
     assert gate.status().latched
     assert gate.status().cause.endswith("bob")

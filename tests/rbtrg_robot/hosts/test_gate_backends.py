@@ -22,7 +22,7 @@ from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
 from rbtrg_robot.orders.words import robot_line
 from rbtrg_robot.process.health import Health
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.wire.messages import decode, encode, header
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.hearsay import all_clear, map_offset
@@ -117,9 +117,9 @@ class Rig:
         self.order(ModeRequest.RESUME)
 
     def run(self, seconds: float) -> None:
-        for _ in range(round(seconds * NS / STEP)):
-            self.now += STEP
-            if self.now % (4 * STEP) == 0:
+        for _ in range(round(seconds * NS / STEP_PERIOD)):
+            self.now += STEP_PERIOD
+            if self.now % (4 * STEP_PERIOD) == 0:
                 stamp = header(0 if self.silent else self.now, "odom")
                 pose = t.POSE.kind(header=stamp)
                 pose.pose.pose.position.x, pose.pose.pose.orientation.w = self.x, 1.0

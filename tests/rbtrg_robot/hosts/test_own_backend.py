@@ -19,7 +19,7 @@ from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.process.health import RATE_SHARE, expected_topics
 from rbtrg_robot.processes import BY_NAME
-from rbtrg_robot.stages.robot import STEP
+from rbtrg_robot.stages.robot import STEP_PERIOD
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.messages import stamp_of
 from tests.places import ROOT, extension
@@ -102,7 +102,7 @@ def test_it_stands_behind_the_gate(module: Path, name: str) -> None:
     told = [m for topic, m in stage.tick(made.clock()) if topic is t.ROBOT_STATE]  # type: ignore[attr-defined]
     assert told[0].phase == Phase.READY.value
     assert told[0].cause.startswith("mine stands")
-    stage.tick(made.clock() + STEP)  # type: ignore[attr-defined]
+    stage.tick(made.clock() + STEP_PERIOD)  # type: ignore[attr-defined]
     assert made.told == [0.0, 0.0]  # type: ignore[attr-defined]
     stage.close()
     assert not made.up  # type: ignore[attr-defined]
@@ -128,7 +128,7 @@ def test_the_one_of_the_docs_delivers_what_the_stack_waits_for(module: Path) -> 
     stage.warm_up()
     outputs: Outputs = []
     for _ in range(200):
-        now += STEP
+        now += STEP_PERIOD
         outputs += stage.tick(now)
     stage.close()
     count = Counter(topic for topic, _ in outputs)

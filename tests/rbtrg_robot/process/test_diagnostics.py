@@ -19,7 +19,7 @@ from rbtrg_robot.process import diagnostics as module
 from rbtrg_robot.process.diagnostics import ERROR, OK, STALE, WARN, Diagnosis
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.wire.messages import decode, encode
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.process.test_broken_messages import supervisor
@@ -169,8 +169,8 @@ def test_the_robot_process_tells_the_figures_of_its_backend_once_a_second() -> N
 
     def run(seconds: float) -> list[Any]:
         told = []
-        for _ in range(round(seconds * NS / STEP)):
-            world.advance(STEP / NS)
+        for _ in range(round(seconds * NS / STEP_PERIOD)):
+            world.advance(STEP_PERIOD / NS)
             told += [message for topic, message in stage.tick(world.now) if topic is t.DIAGNOSTICS]
         return [array.status[0] for array in told]
 

@@ -14,7 +14,7 @@ from hal.robots.go2w import facts as go2w
 from hal.safety.gate_types import MotionLimits
 from hal.types import NS, ImuSample, JointSample, VelocityCommand
 from rbtrg_robot import topics as t
-from rbtrg_robot.stages.feeling import HOLD, TOLD, Feeling
+from rbtrg_robot.stages.feeling import HOLD_FOR, TOLD_FOR, Feeling
 from rbtrg_robot.wire.convert import yaw_of
 
 FREE = (1.0, 1.0, 1.0, 1.0, "")
@@ -57,11 +57,11 @@ def test_it_holds_motion_towards_what_was_touched_and_turns_and_tells_where(vx: 
     assert limits.left == limits.right == 0.0
     words = f"touched something that the LiDAR does not see at (2.0, {1.0 + 0.35 * way:.1f})"
     assert limits.reason == robot.feeling.words(robot.now) == words
-    later = robot.feeling.limits(robot.now + HOLD)
+    later = robot.feeling.limits(robot.now + HOLD_FOR)
     assert later is not None
     assert (later.forward, later.left, later.reason) == (1.0, 1.0, "")
-    assert robot.feeling.words(robot.now + HOLD) == words
-    assert robot.feeling.words(robot.now + TOLD) == ""
+    assert robot.feeling.words(robot.now + HOLD_FOR) == words
+    assert robot.feeling.words(robot.now + TOLD_FOR) == ""
 
 
 def test_where_nobody_knows_the_place_it_stands_all_the_same() -> None:

@@ -134,7 +134,7 @@ def test_a_restarted_elevation_process_gets_all_parts_back() -> None:
         outputs = giver.tick(k)
     assert parts == 3
     assert fed.stage.map.store.touched.size == room, "what came first was copied when more came"
-    assert t.MAP_MIRROR.depth > planner.BACK
+    assert t.MAP_MIRROR.depth > planner.PARTS_PER_TICK
     assert not fed.stage._handover.under_way
     assert fed.stage.map.store.counts()[1] == 3 * 100 * 100
     assert "came back from the planner" in fed.status.detail
@@ -146,12 +146,12 @@ def test_a_slow_elevation_process_gets_no_part_twice_but_a_lost_one() -> None:
     for patch in squares():
         giver.on(t.MAP_UPDATE, patch_msg(patch))
     sent = []
-    for now in range(0, 3 * planner.AGAIN, planner.AGAIN // 3):
+    for now in range(0, 3 * planner.ASK_AGAIN, planner.ASK_AGAIN // 3):
         outputs = giver.tick(now) + giver.on(t.MAP_STATUS, msg.MapStatus(restoring=True))
         sent.append(sum(topic is t.MAP_MIRROR for topic, _ in outputs))
     assert sum(sent[:4]) == 3
     assert 3 < sum(sent) <= 9
-    assert planner.AGAIN < RESTORE_PATIENCE
+    assert planner.ASK_AGAIN < RESTORE_PATIENCE
 
 
 def test_routes_are_searched_around_the_robot_on_a_large_map() -> None:

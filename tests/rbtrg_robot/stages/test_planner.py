@@ -18,7 +18,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages import map_graph
 from rbtrg_robot.stages.map_graph import MapGraph
-from rbtrg_robot.stages.planner import AGAIN, PlannerStage, build
+from rbtrg_robot.stages.planner import ASK_AGAIN, PlannerStage, build
 from rbtrg_robot.wire.convert import patch_msg
 from rbtrg_robot.wire.messages import header
 
@@ -126,7 +126,7 @@ def test_a_planner_that_lost_a_block_asks_for_the_whole_map_until_all_of_it_has_
     stage.on(t.MAP_PARTS, first)
     stage.on(t.MAP_PARTS, third)
     assert tell(stage, 3 * NS) == [], "the rest is on its way"
-    assert tell(stage, 3 * NS + AGAIN) == ["parts"]
+    assert tell(stage, 3 * NS + ASK_AGAIN) == ["parts"]
     applied = len(stage._map._changed)
     for part in parts(stamp=2)[:2]:  # of the next sending another one is lost
         stage.on(t.MAP_PARTS, part)

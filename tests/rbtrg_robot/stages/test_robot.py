@@ -14,7 +14,7 @@ from hal.unitree.api import SPORT, Sport
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.orders.robot import Stop
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode, encode, header
 from tests.hal.unitree.world import World
@@ -45,9 +45,9 @@ class Rig:
         self.state: msg.RobotState = msg.RobotState()
 
     def run(self, seconds: float) -> None:
-        for _ in range(round(seconds * NS / STEP)):
-            self.world.advance(STEP / NS)
-            if self.world.now % (4 * STEP) == 0:
+        for _ in range(round(seconds * NS / STEP_PERIOD)):
+            self.world.advance(STEP_PERIOD / NS)
+            if self.world.now % (4 * STEP_PERIOD) == 0:
                 self.stage.on(t.MOTION_LIMITS, all_clear(self.world.now))
                 self.say(t.CMD_VEL, self.tracker, "tracker")
                 self.say(t.TELEOP, self.teleop, "hand")

@@ -18,8 +18,8 @@ from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.stages.robot import STEP, RobotStage
-from rbtrg_robot.stages.sight import OLDEST, Sight
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
+from rbtrg_robot.stages.sight import OLDEST_WINDOW, Sight
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg
 from tests.hal.robots.go2w.locomotion.networks import linear
 from tests.rbtrg_robot.hearsay import map_offset
@@ -55,8 +55,8 @@ def test_heights_are_those_of_the_map_under_the_turned_robot() -> None:
     [
         ("never", "no map came yet"),
         ("lost", "the pose is not known"),
-        ("old", f"older than {OLDEST} s"),
-        ("early", f"older than {OLDEST} s"),
+        ("old", f"older than {OLDEST_WINDOW} s"),
+        ("early", f"older than {OLDEST_WINDOW} s"),
         ("moved", "no map came yet"),
         ("broken", "no map came yet"),
         ("unseen", "nobody saw most of it"),
@@ -103,7 +103,7 @@ def test_a_policy_in_the_simulated_robot_sees_the_map_of_another_process(tmp_pat
 
     def run(ticks: int, now: int, maps: bool) -> int:
         for _ in range(ticks):
-            now += STEP
+            now += STEP_PERIOD
             stage.on(t.POSE, odometry_msg(now, (0.0, 0.0, 0.5), FLAT, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
             if maps:
                 stage.on(t.MAP_WINDOW, window(now))
@@ -125,8 +125,8 @@ def test_a_policy_in_the_simulated_robot_sees_the_map_of_another_process(tmp_pat
     assert moved() == pytest.approx(wanted, abs=0.004)
     assert abs(wanted) > 0.01
     assert backend.controller.warning() == ""
-    run(round((OLDEST + 0.1) * NS / STEP), now, maps=False)
-    assert f"the map is older than {OLDEST} s" in backend.controller.warning()
+    run(round((OLDEST_WINDOW + 0.1) * NS / STEP_PERIOD), now, maps=False)
+    assert f"the map is older than {OLDEST_WINDOW} s" in backend.controller.warning()
     stage.close()
 
 

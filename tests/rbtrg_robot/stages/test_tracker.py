@@ -13,7 +13,7 @@ from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages import tracker
-from rbtrg_robot.stages.looking import HOLD
+from rbtrg_robot.stages.looking import HOLD_TIME
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import header
@@ -153,7 +153,7 @@ def test_a_look_tilts_the_trunk_and_is_done_when_it_is_level_again() -> None:
     times = [now - braked for now, _ in world.pitches]
     assert {pitch for _, pitch in world.pitches} == {0.25}
     assert times[0] >= STANDS * NS, "the gate refuses it before"
-    assert (times[-1] - times[0]) / NS == pytest.approx(0.25 / TILT_RATE + HOLD, abs=0.03)
+    assert (times[-1] - times[0]) / NS == pytest.approx(0.25 / TILT_RATE + HOLD_TIME, abs=0.03)
     look(world)  # a repeat of the order
     world.run(0.5)
     assert world.pitches[-1][0] - braked == times[-1]

@@ -9,7 +9,7 @@ import pytest
 
 from hal.safety.geofence import Fence, Geofence
 from mapping.grid import ElevationGrid
-from rbtrg_robot.stages.walls import HEIGHT, ROOM, wall_up, windows
+from rbtrg_robot.stages.walls import WALL_HEIGHT, WALL_ROOM, wall_up, windows
 
 RES = 0.05
 SHAPES = {
@@ -29,7 +29,7 @@ def test_walls_stand_where_the_robot_must_not_be(name: str, keep_out: bool) -> N
     grid = ElevationGrid(height.copy(), trusted.copy(), (0.013, -0.021), RES, virtual=~trusted)
     polygon = Geofence.of(SHAPES[name], keep_out=keep_out)
     wall_up(grid, Fence((polygon,)))
-    raised = grid.height - height > 0.5 * HEIGHT
+    raised = grid.height - height > 0.5 * WALL_HEIGHT
     assert np.array_equal(grid.height[~raised], height[~raised])
     assert grid.trusted[raised].all()
     assert not grid.virtual[raised].any()
@@ -38,10 +38,10 @@ def test_walls_stand_where_the_robot_must_not_be(name: str, keep_out: bool) -> N
     for r, c in np.ndindex(grid.shape):
         outside = polygon.outside(0.013 + c * RES, -0.021 + r * RES)
         away = outside if keep_out else abs(outside)
-        if away <= ROOM:
+        if away <= WALL_ROOM:
             assert raised[r, c], (r, c)
         if raised[r, c]:
-            assert away <= ROOM + 1.5 * RES, (r, c)
+            assert away <= WALL_ROOM + 1.5 * RES, (r, c)
             assert r0 <= r < r1
             assert c0 <= c < c1
     assert raised.any()

@@ -68,18 +68,18 @@ def _late(name: str, log: Path) -> list[str]:
 def _late_in_simulator() -> list[str]:
     from rbtrg_robot.hosts.robot import build
     from rbtrg_robot.hosts.sync import SyncHost
-    from rbtrg_robot.stages.robot import STEP
+    from rbtrg_robot.stages.robot import STEP_PERIOD
 
     stage = build(load(None, ["recorder.profile=full", "sim.lidar_step=8"], scene="yard"))
     stage.warm_up()
     warm = _compiled()
-    host = SyncHost({"robot": (stage, STEP / 1e9)})
+    host = SyncHost({"robot": (stage, STEP_PERIOD / 1e9)})
     for step in range(1, 1200):
         command = t.CMD_VEL.kind(header=header(host.now, "base_link"))
         command.twist.linear.x, command.twist.angular.z = 0.4, 0.5 * (step > 900)
         if step % 4 == 0:
             host.inject(t.CMD_VEL, command)
-        host.tick(step * STEP)
+        host.tick(step * STEP_PERIOD)
     host.close()
     assert warm
     return sorted(_compiled() - warm)

@@ -17,7 +17,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.stages import tracker
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.path_order import PathOrder
-from rbtrg_robot.stages.way import REDRAWS
+from rbtrg_robot.stages.way import MOST_REDRAWS
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import header
 from tests.rbtrg_robot.hearsay import map_offset
@@ -25,7 +25,7 @@ from tests.rbtrg_robot.stages.test_planner import ask, patch, planner
 
 
 @pytest.mark.parametrize("narrow", [{"reaches_goal": False}, {"cost": 40.0}])
-@pytest.mark.parametrize(("good", "drawn"), [(1, 1), (2, 2), (9, REDRAWS)])
+@pytest.mark.parametrize(("good", "drawn"), [(1, 1), (2, 2), (9, MOST_REDRAWS)])
 def test_a_way_that_was_lost_is_searched_in_other_graphs_before_another_is_driven(
     good: int, drawn: int, narrow: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,7 +70,7 @@ def test_a_new_way_with_a_leg_much_dearer_than_long_is_compared_with_those_of_ot
 
     monkeypatch.setattr(MapGraph, "search", with_a_dear_leg)
     assert ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal
-    assert searched == list(range(min(good, REDRAWS) + 1))
+    assert searched == list(range(min(good, MOST_REDRAWS) + 1))
     assert stage._map.graph.seed == drawn
 
 

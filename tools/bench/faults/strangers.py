@@ -11,7 +11,7 @@ from hal.safety.monitors import STRANGER
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import BASE
 from rbtrg_robot.wire.messages import header
@@ -46,10 +46,10 @@ def _limits(size: float, seed: int) -> Outcome:
     ):
         robot.subscribe([t.MOTION_LIMITS])
         speed, since, start, moving, told = 0.4 + 0.05 * seed, 0, 0.0, 0, ""
-        steps = round((1.0 + SECONDS) * NS / STEP)
+        steps = round((1.0 + SECONDS) * NS / STEP_PERIOD)
         for step in range(steps):
-            world.advance(STEP / NS)
-            if step == round(NS / STEP):
+            world.advance(STEP_PERIOD / NS)
+            if step == round(NS / STEP_PERIOD):
                 since, start = world.elapsed, world.body.x
             if step % EVERY == 0:
                 command = msg.TwistStamped(header=header(world.now, BASE))

@@ -32,7 +32,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
-from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.wire.convert import BASE
 from rbtrg_robot.wire.messages import header
 from tests.hal.unitree.robot import Faults
@@ -61,8 +61,8 @@ class Peer:
 
     def run(self, seconds: float) -> None:
         """Drive on for some time."""
-        for _ in range(round(seconds * NS / STEP)):
-            self.world.advance(STEP / NS)
+        for _ in range(round(seconds * NS / STEP_PERIOD)):
+            self.world.advance(STEP_PERIOD / NS)
             if self._ticks % 8 == 0:
                 command = msg.TwistStamped(header=header(self.world.now, BASE))
                 command.twist.linear.x = self.speed

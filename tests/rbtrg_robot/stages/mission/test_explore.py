@@ -11,7 +11,7 @@ import pytest
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import Outcome, Verdict
-from rbtrg_robot.stages.mission.explore import ANEW, GIVE_UP, LOOKED, UNREACHABLE, Exploration
+from rbtrg_robot.stages.mission.explore import GIVE_UP, LOOKED, OTHER_GRAPHS, UNREACHABLE, Exploration
 from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.wire.messages import array, header
 
@@ -87,7 +87,7 @@ def test_every_place_is_looked_from_and_then_other_graphs_are_asked_before_the_e
     assert end.outcome is Outcome.DONE
     assert world.driven == [(1.0, 0.0), (5.0, 0.0)]
     assert end.detail.startswith("no frontier left within the accepted risk: 100 m2 seen, 100 %")
-    assert world.anew == ANEW
+    assert world.anew == OTHER_GRAPHS
     assert "left" not in end.detail.removeprefix("no frontier left")
 
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import pytest
 
 from hal.types import NS
-from rbtrg_robot.stages.mission.reserve import AHEAD, MORE, PER_METRE, SPARE, Reserve
-from rbtrg_robot.stages.mission.way_home import DETOUR, WayHome
+from rbtrg_robot.stages.mission.reserve import PER_METRE, RESERVE_FACTOR, SPARE_CHARGE, TOLD_AHEAD, Reserve
+from rbtrg_robot.stages.mission.way_home import DETOUR_FACTOR, WayHome
 
 
 def driven(metres: int, per_metre: float, floor: float = 0.1, percents: bool = False) -> Reserve:
@@ -25,7 +25,7 @@ def driven(metres: int, per_metre: float, floor: float = 0.1, percents: bool = F
 def test_the_way_home_is_told_by_what_driving_cost_with_a_fifth_more(percents: bool) -> None:
     reserve = driven(300, 0.002, percents=percents)  # 30 % are left, 20 % above the floor
     assert reserve.per_metre == pytest.approx(0.002, rel=0.02)
-    least = (0.2 - SPARE) / (MORE * reserve.per_metre)
+    least = (0.2 - SPARE_CHARGE) / (RESERVE_FACTOR * reserve.per_metre)
     assert reserve.short(least - 1.0) == ""
     assert "30 %" in reserve.short(least + 1.0)
 
@@ -34,7 +34,7 @@ def test_it_is_told_two_minutes_ahead() -> None:
     reserve = driven(250, 0.002)
     assert reserve.warning(10.0) == ""
     way = next(way for way in range(10, 90) if reserve.warning(float(way)))
-    assert reserve.left(float(way)) == pytest.approx(AHEAD, abs=2.0)
+    assert reserve.left(float(way)) == pytest.approx(TOLD_AHEAD, abs=2.0)
     assert not reserve.short(float(way))
     assert "will be needed for the way home" in reserve.warning(float(way))
 
@@ -85,11 +85,11 @@ def test_a_wall_between_two_ways_is_not_crossed() -> None:
 def test_a_home_where_the_robot_never_was_is_guessed_and_a_pose_that_was_set_begins_anew() -> None:
     way = WayHome()
     walk(way, (0.0, 0.0), (4.0, 0.0), home=(0.0, 6.0))
-    assert way.length == pytest.approx(DETOUR * math.hypot(4.0, 6.0), rel=0.01)
+    assert way.length == pytest.approx(DETOUR_FACTOR * math.hypot(4.0, 6.0), rel=0.01)
     way.take((4.0, 0.0, 0.0), (2.0, 0.0, 0.0))
     assert way.length == pytest.approx(2.0, abs=0.4)
     way.take((40.0, 0.0, 0.0), (2.0, 0.0, 0.0))
-    assert way.length == pytest.approx(DETOUR * 38.0, rel=0.01)
+    assert way.length == pytest.approx(DETOUR_FACTOR * 38.0, rel=0.01)
     way.take((40.0, 0.0, 0.0), None)
     assert math.isnan(way.length)
     assert WayHome().places(4.0) == []

@@ -54,6 +54,8 @@ from rbtrg_robot.stage_config import (
 from rbtrg_robot.yaml_file import YamlError
 
 GUARD = "guard"
+CAMERAS = ("sim", "unitree")
+"""Backends whose robot has a camera that we know."""
 """The process that a real robot is not driven without."""
 
 
@@ -435,6 +437,8 @@ def load(
     try:
         # Whole, or one key of a group would drop the others' defaults.
         values = StackConfig(robot_model=given.get("robot_model", DEFAULT)).model_dump(mode="json")
+        if given.get("backend", "sim") not in CAMERAS:
+            values["camera"]["source"] = "off"
         _merge(values, given)
         return StackConfig.model_validate(values)
     except ValidationError as error:

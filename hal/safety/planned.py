@@ -39,7 +39,8 @@ def mapped(
     is not above this, NaN where no ray tells; `origin` x, y [m] of the centre of cell [0, 0]."""
     nothing = np.zeros(height.shape, np.uint8)
     bound = np.full_like(height, np.nan) if bound is None else bound
-    return Surroundings(height, bound, nothing, nothing, origin, resolution)
+    certain = np.zeros(height.shape, np.float32)
+    return Surroundings(height, bound, nothing, nothing, certain, origin, resolution)
 
 
 def known_behind(around: Surroundings, pose: Pose, body: Body, max_gap: float, reach: float) -> float:

@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.kernels import select
+from hal.kernels import inlined, select
 from hal.raster import cell_of
 from hal.types import Array, Capabilities
 
@@ -35,6 +35,9 @@ WITHIN = 4
 NOISE = 0.04
 """[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise.
 """
+CERTAIN, MOST = 3.0, 0.08
+"""Standard deviations of the difference of two cells that are noise as well, and at most [m]: a height that one point
+of a LiDAR told is as uncertain as that point."""
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
 POINTS = 3
@@ -62,6 +65,8 @@ class Surroundings:
     """(rows, cols) where the height comes from: WHEELS, LIDAR, PLANTS or another."""
     occupied: NDArray[np.uint8]
     """(rows, cols) 1 where the newest sweep has something that stands on the ground."""
+    variance: NDArray[np.float32]
+    """(rows, cols) of a measured height [m^2]; 0 where none was measured."""
     origin: tuple[float, float]
     """x, y [m] of the centre of cell [0, 0]."""
     resolution: float
@@ -215,6 +220,7 @@ def reach_of(
         around.bound,
         around.source,
         around.occupied,
+        around.variance,
         wall,
         around.origin[0],
         around.origin[1],
@@ -286,6 +292,15 @@ def height_under(
     return 0.5 * (select(known, n, (n - 1) // 2) + select(known, n, n // 2))
 
 
+@inlined
+def _told(apart, variance, limit):  # pragma: no cover - compiled
+    """Of a difference in height `apart` [m] with a `variance` [m^2] what is more than noise, where it is more than the
+    `limit`, of which NOISE is a part."""
+    if abs(apart) <= limit:
+        return apart
+    return math.copysign(abs(apart) - max(0.0, min(CERTAIN * math.sqrt(variance), MOST) - NOISE), apart)
+
+
 @njit(cache=True)
 def nearest_obstacle(
     tracks,
@@ -293,6 +308,7 @@ def nearest_obstacle(
     bound,
     source,
     occupied,
+    variance,
     wall,
     x0,
     y0,
@@ -318,7 +334,7 @@ def nearest_obstacle(
     layers, count, samples = tracks.shape[0], tracks.shape[1], tracks.shape[2]
     c, s = math.cos(yaw), math.sin(yaw)
     first, kind, size = samples, CLEAR, 0.0
-    ground = np.empty(samples)
+    ground, spread = np.empty(samples), np.empty(samples)
     low = np.empty(samples, np.bool_)  # nothing stands here: unknown, or not believed
     felt = np.empty(samples, np.bool_)
     busy = np.empty(samples, np.bool_)
@@ -332,8 +348,9 @@ def nearest_obstacle(
                 col = cell_of(x + c * u - s * v, x0, resolution)
                 row = cell_of(y + s * u + c * v, y0, resolution)
                 ground[i], low[i], busy[i], felt[i], wide[i] = np.nan, False, False, False, False
+                spread[i] = 0.0
                 if 0 <= row < rows and 0 <= col < cols:
-                    ground[i] = height[row, col]
+                    ground[i], spread[i] = height[row, col], variance[row, col]
                     busy[i] = occupied[row, col] > 0
                     felt[i] = source[row, col] == WHEELS
                     wide[i] = source[row, col] == HOLE
@@ -375,12 +392,14 @@ def nearest_obstacle(
                 worst = 0.0
                 if not math.isnan(level):
                     worst = ground[i] - level
+                    worst = _told(worst, spread[i] + spread[last], limit)
                     if worst > 0.0 and not felt[i]:
                         worst = max(0.0, worst - rise * max(0, i - last - WITHIN // 2))
                     for j in range(max(landed, i - WITHIN), last):
                         if not low[j] and not math.isnan(ground[j]):
                             other = ground[i] - ground[j]
                             other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
+                            other = _told(other, spread[i] + spread[j], limit)
                             if abs(other) > abs(worst):
                                 worst = other
                 plane = stand[0] + stand[1] * tracks[layer, k, i, 0] + stand[2] * tracks[layer, k, i, 1]

@@ -73,9 +73,17 @@ class Health:
         t.MISSION_STATE,
     )
 
-    def __init__(self, simulated: bool, clock: SourceClock | None = None) -> None:
-        """`clock`: of a stack on hardware."""
+    def __init__(
+        self,
+        simulated: bool,
+        clock: SourceClock | None = None,
+        lidars: Collection[LidarName] = tuple(t.SWEEPS),
+    ) -> None:
+        """`clock`: of a stack on hardware; `lidars`: those the robot carries."""
         self._simulated = simulated
+        self._absent: set[Topic] = set() if simulated else {t.CLOCK, t.TRUTH}
+        """Nobody publishes them."""
+        self._absent |= {topics[x] for topics in (t.SWEEPS, t.CLOUDS) for x in topics if x not in lidars}
         self._clock = clock or SourceClock()
         self._frame = MapFrame()
         self.newest: dict[Topic, Any] = {}
@@ -152,7 +160,7 @@ class Health:
         rate = seen.rate if seen else 0.0
         age = (self.source_now - seen.newest) / 1e9 if seen and seen.newest else None
         ok: bool | None
-        if topic.rate == 0 or (topic in (t.CLOCK, t.TRUTH) and not self._simulated):
+        if topic.rate == 0 or topic in self._absent:
             ok = True
         else:
             share = RATE_SHARE

@@ -81,12 +81,11 @@ class Supervisor:
         if not config.record:
             rows = [p for p in rows if p.name != "recorder"]
         self._children = {row.name: Child(row) for row in rows}
-        self._expected = expected_topics(
-            rows, simulated=config.simulated, lidars=[lidar.name for lidar in config.lidars]
-        )
+        lidars = [lidar.name for lidar in config.lidars]
+        self._expected = expected_topics(rows, simulated=config.simulated, lidars=lidars)
         self._clock = SourceClock()
         self._stack = stack_id()
-        self._health = Health(config.simulated, self._clock)
+        self._health = Health(config.simulated, self._clock, lidars)
         self._kept: dict[Topic, bytes] = {}
         self._asked: deque[tuple[str, Reply]] = deque(maxlen=ASKED)
         """Questions of others, not yet answered."""

@@ -151,7 +151,8 @@ class GuardStage:
         flat = np.zeros((3, 3), np.float32)
         flat[2, 1] = 1.0  # a wall at its side
         free = np.zeros((3, 3), np.uint8)
-        around = Surroundings(flat, np.full_like(flat, np.nan), free, free.copy(), (-0.2, -0.2), 0.2)
+        unknown, certain = np.full_like(flat, np.nan), np.zeros_like(flat)
+        around = Surroundings(flat, unknown, free, free.copy(), certain, (-0.2, -0.2), 0.2)
         fill_unknown(flat, around.bound)
         here = (0.0, 0.0, 0.0)
         stand = stand_of(around, here, np.array([0.0, 0.0, 1.0]), self._body)
@@ -229,6 +230,7 @@ class GuardStage:
             np.where(unknown, upper, np.float32(np.nan)),
             np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, TOUCHED, HOLE)), source, 0).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
+            np.where(source == LIDAR, patch.layers["variance"], np.float32(0.0)),
             patch.origin,
             patch.resolution,
         )

@@ -42,7 +42,8 @@ def ground(height: NDArray[Any], **layers: Any) -> Surroundings:
     bound = np.asarray(layers.get("bound", np.full_like(height, np.nan)), np.float32)
     source = np.asarray(layers.get("source", np.where(np.isnan(height), 0, LIDAR)), np.uint8)
     occupied = np.asarray(layers.get("occupied", np.zeros_like(height)), np.uint8)
-    return Surroundings(height, bound, source, occupied, CORNER, RES)
+    variance = np.asarray(layers.get("variance", np.zeros_like(height)), np.float32)
+    return Surroundings(height, bound, source, occupied, variance, CORNER, RES)
 
 
 WAYS = {

@@ -220,7 +220,9 @@ def around(height: Callable[[np.ndarray, np.ndarray], np.ndarray], source: int =
     heights = height(x, y).astype(np.float32)
     kind = np.where(heights > 0.05, source, LIDAR).astype(np.uint8)
     nothing = np.zeros(heights.shape, np.uint8)
-    return Surroundings(heights, np.full_like(heights, np.nan), kind, nothing, (-1.4, -1.4), 0.04)
+    return Surroundings(
+        heights, np.full_like(heights, np.nan), kind, nothing, np.zeros_like(heights), (-1.4, -1.4), 0.04
+    )
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

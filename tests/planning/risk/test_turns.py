@@ -281,6 +281,7 @@ def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
         np.full_like(grid.height, np.nan),
         np.zeros(grid.shape, np.uint8),
         np.zeros(grid.shape, np.uint8),
+        np.zeros(grid.shape, np.float32),
         grid.origin,
         grid.resolution,
     )

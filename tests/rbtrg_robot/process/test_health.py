@@ -247,3 +247,10 @@ def test_clocks_of_the_lidars_are_in_the_status_line() -> None:
     row = health.robot_row()
     assert row["lidars"]["main"] == {"time_offset": 0.06, "sigma": 0.001, "applied": 0.05}
     assert "CALIBRATION: beyond, stamps of the main LiDAR corrected by +50.0 ms, real" in robot_line(row)
+
+
+def test_a_lidar_that_the_robot_does_not_carry_is_not_missed() -> None:
+    health = Health(simulated=False, lidars=["main"])
+    verdicts = [health.topic_row(x)["ok"] for x in (t.HEAD_POINTS, t.HEAD_CLOUD, t.POINTS)]
+    assert verdicts[:2] == [True, True]
+    assert not verdicts[2]

@@ -15,7 +15,7 @@ import numpy as np
 
 from hal.safety.monitors import GROUND_HEIGHT
 from hal.types import Array, LidarName
-from mapping.odometry.ground_fit import REACH, fit_plane, wheel_plane
+from mapping.odometry.ground_fit import CELL, REACH, fit_plane, wheel_plane
 
 STEEP = math.sin(math.radians(4.0))
 """Sine of the angle to the plane under the wheels from which on a ray finds the ground near enough."""
@@ -28,6 +28,8 @@ UPSIDE_DOWN = 0.15
 UNDER, SEEN_UNDER = 0.3, 0.05
 """Nothing is seen below the ground: share by which points may lie lower, and share of the points that may lie lower
 still."""
+STEP = 0.12
+"""[m] from the lowest to the highest point of a cell from which on it is a wall."""
 SECTOR, DEEP, FLAT = math.radians(15.0), 0.4, 0.05
 """[rad], [m] Ground under the wheels is there where points in two sectors or more lie so far one behind the other, this
 near the plane [m], and as much per metre,"""
@@ -97,13 +99,23 @@ def ground_shares(away: Array, place: Array) -> list[float]:
             count[max(k - 2, 0) : k + 3] = 0
             if sign < 0.0 and abs(about + 1.0) > UPSIDE_DOWN:
                 continue
-            if (plane := fit_plane(place + away / about)) is None:
+            if (plane := fit_plane(without_walls(place + away / about))) is None:
                 continue
             exactly = about * (1.0 - plane[2] / place[2])
             under = np.count_nonzero(share / exactly > 1.0 + UNDER)
             if under < SEEN_UNDER * len(share) or not GROUND_HEIGHT.outside(exactly):
                 found.append(exactly)
     return found
+
+
+def without_walls(points: Array) -> Array:
+    """Those of `points` (n, 3), axes of the plane under the wheels, whose cell has no wall."""
+    points = points[np.hypot(points[:, 0], points[:, 1]) < REACH]
+    cells, which = np.unique(np.floor(points[:, :2] / CELL), axis=0, return_inverse=True)
+    low, high = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
+    np.minimum.at(low, which.ravel(), points[:, 2])
+    np.maximum.at(high, which.ravel(), points[:, 2])
+    return points[(high - low < STEP)[which.ravel()]]
 
 
 def stands_on(points: Array) -> bool:

@@ -314,8 +314,8 @@ def test_a_sample_that_held_no_route_is_not_drawn_again_and_one_that_did_is_kept
 def test_on_a_large_map_other_nodes_are_drawn_at_once_around_the_robot_and_the_goal_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(map_graph, "WHOLE", 10_000)
-    monkeypatch.setattr(map_graph, "AROUND", 0.7)
+    monkeypatch.setattr(map_graph, "WHOLE_CELLS", 10_000)
+    monkeypatch.setattr(map_graph, "REDRAWN_AROUND", 0.7)
     found = 0
     for seed in range(12):
         z, start, goal = passage(seed, 0.5)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import Outcome, Verdict
-from rbtrg_robot.stages.mission.cover import APART, Coverage, Place, lanes
+from rbtrg_robot.stages.mission.cover import GOAL_SPACING, Coverage, Place, lanes
 from rbtrg_robot.wire.messages import array, header
 from tests.rbtrg_robot.stages.mission.test_executor import World as Stage
 from tests.rbtrg_robot.stages.mission.test_executor import order, step
@@ -48,7 +48,9 @@ def test_no_ground_of_a_box_is_farther_from_a_lane_than_half_the_swath(
     nearest = np.linalg.norm(ground[:, None] - legs[None], axis=2).min(axis=1)
     assert nearest.max() <= math.hypot(0.5 * swath, 0.5 * swath) + 0.2
     assert (
-        max(math.dist(a, b) for a, b in pairwise(way)) <= max(APART, swath) + 1e-6 if len(way) > 1 else True
+        max(math.dist(a, b) for a, b in pairwise(way)) <= max(GOAL_SPACING, swath) + 1e-6
+        if len(way) > 1
+        else True
     )
 
 

@@ -40,10 +40,11 @@ def warm(part: str) -> float:
         from rbtrg_robot.config import load
         from rbtrg_robot.hosts.lockstep import build_stages
         from rbtrg_robot.hosts.robot import build
+        from rbtrg_robot.stages.stage import warm as warm_stage
 
         config = load(None, [], scene="flat")
         stage = build(config) if part == "robot" else build_stages(config, [part])[part][0]
-        stage.warm_up()
+        warm_stage(stage)
         stage.close()
     return time.monotonic() - began
 

@@ -103,8 +103,7 @@ class Lockstep:
         self.newest = Newest()
         self.statuses: list[Any] = []
         self.host.listen(self._note, _NOTED | _KEPT)
-        for stage, _ in stages.values():
-            stage.warm_up()
+        self.robot.warm_up()  # the others load a kernel when they need it: nothing waits meanwhile
         for name in names:
             self.robot.alive(name, True)
 

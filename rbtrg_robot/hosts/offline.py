@@ -19,7 +19,7 @@ from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogError, first_of, re
 from rbtrg_robot.log.summary import overview
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import PROCESSES
-from rbtrg_robot.stages.stage import Stage
+from rbtrg_robot.stages.stage import Stage, warm
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.convert import LayoutError, lidar_scan
 from rbtrg_robot.wire.messages import MessageError, decode, stamp_in
@@ -80,7 +80,7 @@ def stages_for(log: Path, names: list[str], config: StackConfig) -> Stages:
     fitting(log, names, config)
     stages = build_stages(config, names)
     for stage, _period in stages.values():
-        stage.warm_up()
+        warm(stage)
     return stages
 
 

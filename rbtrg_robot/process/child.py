@@ -29,7 +29,7 @@ def run(spec: dict[str, Any]) -> int:
     """One process until told to stop; returns its exit status.
 
     `spec`: `process` its name, `config` the dumped StackConfig, `clock` the offset of the stack's SourceClock, `stack`
-    its id on the bus, `restored` {topic: base64 of its newest message}.
+    its id on the bus, `restored` {topic: base64 of its newest message}, `hurry` whether the first goal matters most.
     """
     name: str = spec["process"]
     stop = threading.Event()
@@ -43,12 +43,13 @@ def run(spec: dict[str, Any]) -> int:
     from rbtrg_robot.config import load
     from rbtrg_robot.hosts.live import Node
     from rbtrg_robot.hosts.memory import keep_what_is_loaded
+    from rbtrg_robot.process.kernels import REST, compile_rest
     from rbtrg_robot.processes import BY_NAME
+    from rbtrg_robot.stages.stage import WarmsLater
     from rbtrg_robot.topics import BY_NAME as TOPIC_BY_NAME
     from rbtrg_robot.wire.bus import Bus
     from rbtrg_robot.wire.clock import SourceClock
 
-    row = BY_NAME[name]
     ours: dict[str, Any] = {
         "clock": SourceClock(spec["clock"]),
         "stack": spec["stack"],
@@ -57,6 +58,10 @@ def run(spec: dict[str, Any]) -> int:
     restored = {TOPIC_BY_NAME[k]: base64.b64decode(v) for k, v in spec["restored"].items()}
     try:
         config = load(base=spec["config"])
+        if name == REST:
+            compile_rest(config)
+            return 0
+        row = BY_NAME[name]
         module, function = row.entry.split(":")
         part = importlib.import_module(module)
         entry = getattr(part, function)
@@ -67,6 +72,8 @@ def run(spec: dict[str, Any]) -> int:
         again = getattr(part, "build_again", entry) if restored else entry
         stage = again(config)
         stage.warm_up()
+        if isinstance(stage, WarmsLater) and not spec["hurry"]:
+            stage.warm_up_rest()
         keep_what_is_loaded()
         with Bus(config.endpoint, name, config.scope, **ours) as bus:
             node = Node(row, stage, bus, simulated=config.simulated, folder=config.log_dir)

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.stages.stage import Stage, WarmsLater, warm
+
+if TYPE_CHECKING:
+    from rbtrg_robot.config import StackConfig
 
 KERNELS = 250
 """Files that a start leaves where none was kept, within a tenth: `python -m tools.warm` says so when it is off."""
@@ -16,6 +24,8 @@ INDEX = "*.nbi"
 SURE = 20
 """Kernels after which the remaining time is told."""
 ROOT = Path(__file__).parents[2]
+REST = "kernels"
+"""The process that compiles what no first goal needs."""
 
 
 def kept_in() -> tuple[Path, ...]:
@@ -24,6 +34,17 @@ def kept_in() -> tuple[Path, ...]:
         return (Path(given),)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return (*(ROOT / package for package in ("hal", "mapping", "planning")), cache / "numba")
+
+
+def compile_rest(config: StackConfig) -> None:
+    """What no first goal needs, while the robot drives already, in the time that the others leave."""
+    os.nice(19)
+    for row in PROCESSES:
+        if row.hosted and row.name not in config.without:
+            module, function = row.entry.split(":")
+            stage: Stage = getattr(importlib.import_module(module), function)(config)
+            if isinstance(stage, WarmsLater):
+                warm(stage)
 
 
 class Compiling:

@@ -11,7 +11,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.diagnostics import Diagnosis
 from rbtrg_robot.process.events import ERROR, INFO, WARNING, Events
 from rbtrg_robot.process.health import Health, expected_topics
-from rbtrg_robot.process.kernels import Compiling
+from rbtrg_robot.process.kernels import REST, Compiling
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
@@ -37,7 +37,7 @@ from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
 from rbtrg_robot.process.supervised import BACKOFF, Child, end
-from rbtrg_robot.process.zygote import Zygote, ZygoteError
+from rbtrg_robot.process.zygote import Forked, Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Reply
@@ -93,6 +93,8 @@ class Supervisor:
         self._lacks = ""
         """Why it is not ready."""
         self._compiling, self._compiled = Compiling(), ""
+        self._rest: Forked | None = None
+        """The process that compiles what no first goal needs."""
         self._console_told = "console" not in self._children
         self._were_well: set[Topic] = set()
         """Topics that have been so since the start."""
@@ -228,6 +230,9 @@ class Supervisor:
             self._write_state(lock)  # after the word: who waits for the state prints what was said
         if self._ready:
             self._notifier.ready()
+            if self._compiling.cold:
+                with suppress(ZygoteError, OSError):  # it is compiled when it is needed
+                    self._rest = self._fork(REST, {})
 
     def _write_state(self, lock: RunLock) -> None:
         lock.write_state(
@@ -292,18 +297,25 @@ class Supervisor:
             for topic in child.row.restores
             if topic in self._kept
         }
-        spec = {
+        child.log_path = self._log_path(name)
+        child.forked = self._fork(name, restored)
+        child.started = child.busy = time.monotonic()
+        child.usage = psutil.Process(child.forked.pid)
+        child.usage.cpu_percent()
+
+    def _log_path(self, name: str) -> Path:
+        return Path(self._config.log_dir) / f"{name}.log"
+
+    def _fork(self, name: str, restored: dict[str, str]) -> Forked:
+        specification = {
             "process": name,
             "config": self._config.model_dump(mode="json"),
             "clock": self._clock.offset,
             "stack": self._stack,
             "restored": restored,
+            "hurry": self._compiling.cold and not self._ready,
         }
-        child.log_path = Path(self._config.log_dir) / f"{name}.log"
-        child.forked = self._zygote.fork(spec, child.log_path)
-        child.started = child.busy = time.monotonic()
-        child.usage = psutil.Process(child.forked.pid)
-        child.usage.cpu_percent()
+        return self._zygote.fork(specification, self._log_path(name))
 
     def _spawn_again(self, child: Child) -> None:
         """While the computer has no room for it, the others go on without it: what it means for motion is told at its
@@ -404,7 +416,10 @@ class Supervisor:
                 WARNING,
             )
         self._events.strangers(self._bus.intrusion())
-        self._zygote.reap({child.forked.pid for child in self._children.values() if child.forked})
+        if self._rest is not None and self._rest.poll() is not None:
+            self._rest = None
+        polled = [self._rest, *(child.forked for child in self._children.values())]
+        self._zygote.reap({forked.pid for forked in polled if forked is not None})
         for child in self._children.values():
             child.measure()
 

@@ -148,10 +148,15 @@ class ElevationStage:
     def warm_up(self) -> None:
         """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
         self.map.warm_up()
-        warm_up()
+        if self._location.state is not State.NONE:
+            warm_up()
         stage = ElevationStage(ElevationMap(self.map.params), self._params, self._lidars, limbs=self._limbs)
         for topic, message in rehearsal(tuple(self._topics)):
             stage.on(topic, decode(encode(message), topic.kind))
+
+    def warm_up_rest(self) -> None:
+        """The search in a prior map, which may be loaded later."""
+        warm_up()
 
     def put_on(self, folder: Path) -> None:
         """See `KeepsMap`."""

@@ -8,11 +8,13 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.safety.planned import free_turn, known_behind, mapped
 from hal.safety.swept import Body
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
+from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams
 from planning.path import (
@@ -127,32 +129,34 @@ class PlannerStage:
 
     def warm_up(self) -> None:
         """Plan on made-up ground."""
-        stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
-        x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
-        height = x[:, None] * x[None, :]
-        layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height))
+        stage = self._on_made_up_ground()
         # A goal on the map, again with what is driven and without, then one off it: the second needs no search, the
         # third carries evaluations and search
         # over, the last looks for a frontier.
-        for goal, driven in ((3.0, False), (3.0, True), (3.0, False), (9.0, False)):
-            height = height.copy()
-            height[5:10, 5:10] += np.float32(0.001)
-            grid = MapPatch((0.0, 0.0), 0.04, 0, 0, layers | {"elevation": height}).grid(filled=True)
+        for number, (goal, driven) in enumerate(((3.0, False), (3.0, True), (3.0, False), (9.0, False))):
+            height, grid = _made_up(number + 1)
             stage._map.refresh((2.0, 2.0), grid, [(5, 5, 10, 10)])
             stage._whole = stage._whole if driven else None
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
+        around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)
+        robot = drives_over(stage._map.params)
+        known_behind(around, here, Body.of(robot), robot.max_gap, 0.1)
+        free_turn(around, here, 1.0, robot)
+
+    def warm_up_rest(self) -> None:
+        """Look for where to explore on made-up ground."""
+        stage = self._on_made_up_ground()
         where = msg.ExploreQuestion(start_x=1.0, start_y=1.0, has_home=True, home_x=1.0, home_y=1.0)
         views = views_of(stage._map, where, self._body, 0)
         if len(views.x):  # not the first: it must be ordered
             where.has_target, where.target_x, where.target_y = True, float(views.x[-1]), float(views.y[-1])
             views_of(stage._map, where, self._body, 0)
-        graph = stage._map.graph
-        assert graph is not None
-        around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)
-        robot = drives_over(stage._map.params)
-        known_behind(around, here, Body.of(robot), robot.max_gap, 0.1)
-        free_turn(around, here, 1.0, robot)
+
+    def _on_made_up_ground(self) -> PlannerStage:
+        stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
+        stage._map.refresh((2.0, 2.0), _made_up(0)[1], [(5, 5, 10, 10)])
+        return stage
 
     @property
     def terrain(self) -> MapGraph:
@@ -412,6 +416,15 @@ class PlannerStage:
             native = None
         assert self._map.table is not None
         return [(t.ROUTE_REPORT, base.report(found, path, self._map.table, native, graph))]
+
+
+def _made_up(bumps: int) -> tuple[NDArray[np.float32], ElevationGrid]:
+    """Ground for a rehearsal: height (100, 100) [m], and the map of it."""
+    x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
+    height = x[:, None] * x[None, :]
+    height[5:10, 5:10] += np.float32(0.001 * bumps)
+    layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height)) | {"elevation": height}
+    return height, MapPatch((0.0, 0.0), 0.04, 0, 0, layers).grid(filled=True)
 
 
 def build(config: StackConfig) -> PlannerStage:

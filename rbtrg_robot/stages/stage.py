@@ -40,6 +40,21 @@ class Stage(Protocol):
 
 
 @runtime_checkable
+class WarmsLater(Protocol):
+    """A stage that can do what no first goal needs."""
+
+    def warm_up_rest(self) -> None:
+        """`warm_up` for that."""
+
+
+def warm(stage: Stage) -> None:
+    """For all that it can do."""
+    stage.warm_up()
+    if isinstance(stage, WarmsLater):
+        stage.warm_up_rest()
+
+
+@runtime_checkable
 class KeepsMap(Protocol):
     """A stage whose map grows with the ground that was seen."""
 

@@ -11,7 +11,9 @@ from hal.rotation import wrap
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.stage import warm
 from rbtrg_robot.wire.convert import yaw_of
 from tools.bench.report import Report
 from tools.bench.spent import Spent
@@ -52,6 +54,9 @@ def run(args: list[str]) -> Report:
     scene = config.load_scene()
     report = Report("lockstep")
     with Lockstep(config) as stack:
+        for process in PROCESSES:
+            if process.hosted:
+                warm(stack.host.stage(process.name))
         stack.wait_ready()
         spent_in = Spent(stack)
         cpu, simulated = time.process_time(), stack.seconds

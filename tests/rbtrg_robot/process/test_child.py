@@ -37,6 +37,7 @@ def test_what_is_loaded_when_it_is_ready_is_not_searched_for_garbage_again(
         "clock": 0,
         "stack": "one",
         "restored": {},
+        "hurry": False,
     }
     try:
         assert run(spec) == 0

@@ -40,9 +40,12 @@ class Scripted:
     def __init__(self, script: list[tuple[int, str] | None]) -> None:
         self.script = script
         self.started = 0
+        self.asked: list[tuple[str, bool]] = []
+        """Process, and whether the first goal waits for it."""
 
-    def fork(self, _specification: dict[str, Any], log_path: Path) -> Scripted:
+    def fork(self, specification: dict[str, Any], log_path: Path) -> Scripted:
         self.started += 1
+        self.asked.append((specification["process"], specification["hurry"]))
         self.end = self.script.pop(0)
         if self.end is not None:
             log_path.write_text(f"error: {self.end[1]}\n")
@@ -337,6 +340,20 @@ def test_a_computer_without_memory_for_a_process_keeps_the_others(
     monkeypatch.setattr(zygote, "fork", plain)
     assert mend(supervisor)["state"].startswith("starting")
     assert said[1:] == ["robot cannot be started (cannot start processes); trying again"]
+
+
+def test_what_no_first_goal_needs_is_compiled_once_the_stack_is_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor, zygote, _said = supervised(tmp_path, [None] * 3, "planner")
+    monkeypatch.setattr(supervisor, "_missing", lambda: "")
+    monkeypatch.setattr(supervisor, "_write_state", lambda _lock: None)
+    supervisor._compiling.cold = True
+    (planner,) = supervisor._children.values()
+    supervisor._spawn(planner)
+    supervisor._look(None)  # type: ignore[arg-type]
+    supervisor._spawn(planner)
+    assert zygote.asked == [("planner", True), ("kernels", False), ("planner", False)]
 
 
 def test_a_zygote_that_finds_no_memory_is_replaced_later(monkeypatch: pytest.MonkeyPatch) -> None:

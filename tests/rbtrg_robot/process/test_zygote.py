@@ -37,6 +37,7 @@ def tracker(process: str = "tracker", **config: Any) -> dict[str, Any]:
         "process": process,
         "config": {**StackConfig().model_dump(mode="json"), **config},
         "restored": {},
+        "hurry": False,
         "clock": 0,
         "stack": "",
     }

@@ -6,6 +6,7 @@ import os
 import platform
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,6 +24,11 @@ def extension(name: str, page: str = "extend.md") -> str:
     """The code of `name`.py on a page of the docs."""
     lead = f'"""{name}.py'
     return lead + (ROOT / "docs" / page).read_text().split(f"```python\n{lead}")[1].split("```")[0]
+
+
+def cases(count: int, usual: int) -> list[Any]:
+    """For `parametrize`: numbers from 0 on, of which those after the `usual` ones are further cases of the same."""
+    return [*range(usual), *(pytest.param(k, marks=pytest.mark.campaign) for k in range(usual, count))]
 
 
 @cache

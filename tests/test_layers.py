@@ -72,8 +72,8 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",
     "rbtrg_robot.process": "hal hal.safety hal.safety.monitors hal.unitree rbtrg_robot rbtrg_robot.wire "
-    "rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.stages.mission rbtrg_robot.log "
-    "rbtrg_robot.hosts",
+    "rbtrg_robot.access rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages.mission "
+    "rbtrg_robot.log rbtrg_robot.hosts",
     "rbtrg_robot.console": "hal hal.safety mapping mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.access "
     "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts "
     "rbtrg_robot.process",

@@ -18,6 +18,7 @@ from hal.camera import CameraError, CameraFrame, CameraSource, MountedCamera
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
+from rbtrg_robot.hosts.memory import give_back
 from rbtrg_robot.log.moments import AROUND, HEARS, Moments
 from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.topics import Topic
@@ -162,6 +163,7 @@ class Desk:
                 source = source_of(self._config, self._camera)
                 log.info("camera: %s", source.open())
                 self._source = source
+                give_back()
             began = time.process_time()
             frame: CameraFrame | None = self._source.frame(clock)
         except CameraError as error:

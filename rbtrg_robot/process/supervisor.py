@@ -25,6 +25,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.access.certificates import lies_open
 from rbtrg_robot.access.serve import keys_folder, security
 from rbtrg_robot.config import StackConfig
+from rbtrg_robot.hosts.memory import give_back
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.diagnostics import Diagnosis
 from rbtrg_robot.process.events import ERROR, INFO, WARNING, Events
@@ -229,6 +230,7 @@ class Supervisor:
         if self._ready or self._lacks != before:
             self._write_state(lock)  # after the word: who waits for the state prints what was said
         if self._ready:
+            give_back()
             self._notifier.ready()
             if self._compiling.cold:
                 with suppress(ZygoteError, OSError):  # it is compiled when it is needed

@@ -36,6 +36,8 @@ from rbtrg_robot.terminal import say
 log = logging.getLogger(__name__)
 
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
+M_ARENA_MAX = -8
+"""mallopt(3) of glibc."""
 PRELOAD = (
     "zenoh",
     "rbtrg_robot.config",
@@ -318,6 +320,9 @@ def preload() -> None:
 
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
+    # Eight threads of Zenoh in each process would take memory from eight places, and leave room in each.
+    if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
+        mallopt(M_ARENA_MAX, 2)
     # A collection writes to every object that it looks at: each forked process would have its own copy of all of them.
     gc.collect()
     gc.freeze()

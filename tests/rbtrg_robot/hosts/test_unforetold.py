@@ -25,6 +25,7 @@ def test_to_a_goal_behind_a_pane_it_goes_around() -> None:
     assert not BY_NAME["contact.pane_round"].missed(outcome)
 
 
+@pytest.mark.campaign
 def test_without_the_monitor_nobody_is_told() -> None:
     with taken_out("touched"):
         outcome = push(pane(0.0), "vmc", 0.5, 2)

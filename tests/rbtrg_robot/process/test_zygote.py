@@ -152,6 +152,29 @@ def test_a_process_shares_what_is_loaded_and_imports_nothing_of_numba_with_its_k
     )
 
 
+def test_one_that_shares_has_the_imports_of_its_parent_and_is_replaced_as_well(tmp_path: Path) -> None:
+    script = """
+import json, os, signal, sys
+from pathlib import Path
+from rbtrg_robot.process.zygote import Zygote
+with Zygote(share=True) as zygote:
+    rows = Path(f"/proc/{zygote.pid}/smaps_rollup").read_text().splitlines()[1:]
+    size = {row.split()[0]: int(row.split()[1]) for row in rows}
+    print(size["Private_Dirty:"] < 0.3 * size["Rss:"])
+    for name in ("first.log", "second.log"):
+        print(zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2]) / name).wait(60))
+        os.kill(zygote.pid, signal.SIGKILL)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, json.dumps(tracker(bogus=1)), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert done.stdout.split() == ["True", str(FATAL), str(FATAL)]
+
+
 def test_a_stopped_zygote_is_replaced_within_bounds(
     zygote: Zygote, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

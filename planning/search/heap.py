@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 from numba import njit
 
-NONE, ZERO, ONE = (cast("int", np.int64(number)) for number in (-1, 0, 1))
+NONE, ZERO = (cast("int", np.int64(number)) for number in (-1, 0))
 """Numbers to begin with: a kernel that is called with a number written out is compiled for this number alone."""
 
 

@@ -15,7 +15,7 @@ from planning.search.explain import Route
 from planning.search.pairs import Guide, guide_to, search_pairs
 from planning.search.request import PlanRequest
 
-MOST, ALL = 20_000, 2**62
+MOST_STATES, ALL_STATES = 20_000, 2**62
 """States that a search looks at while it is led by bounds that know nothing of the turns the guard holds: beyond that
 it gets bounds of its own. 3,217 were the most that was seen."""
 
@@ -77,11 +77,11 @@ class RouteSearch:
         if self._guide is None:
             self._guide = guide_to(*on, asked, *self._xy)
         cost, route, self.expanded, turns, self._guide = search_pairs(
-            *on, asked, self._guide, ALL if first else MOST
+            *on, asked, self._guide, ALL_STATES if first else MOST_STATES
         )
         if np.isinf(cost) and not first:
             self._guide = guide_to(*on, asked, *self._xy)
-            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL)
+            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL_STATES)
         table.keep(body, tables._replace(turns=turns))
         return cost, route
 

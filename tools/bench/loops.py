@@ -27,7 +27,7 @@ from hal.rotation import wrap
 from hal.scenes import Scene
 from hal.types import Array
 from mapping.closing import Closed, Closing, Recording, corrected, fuse
-from mapping.closing.close import DRIFT, LOOP_SIGMA, NEW, NEXT_SIGMA, STEADY
+from mapping.closing.close import DRIFT, EXACT_SIGMA, LOOP_SIGMA, NEW, NEXT_SIGMA, STEADY
 from mapping.closing.graph import PoseGraph, between, levelled
 from mapping.closing.keyframes import SPACING
 from mapping.elevation.config import ElevationConfig
@@ -37,8 +37,10 @@ from tools.closing import HEIGHT, Drift, Drive, Way, drifted, record, ring, site
 SITES = ("ring", "twins", "site")
 EXACT = np.array([0.006, 0.006, 0.006, math.radians(0.05)])
 """Errors of a registration: x, y, z [m], yaw [rad]."""
-SWEPT = np.array([0.001, 0.001, 0.001, math.radians(0.006)])
-"""The same of two sweeps that are laid onto each other."""
+SWEPT = np.array([0.001, 0.001, 0.001, math.radians(0.005)])
+"""The same of neighbours whose sweeps are laid onto each other,"""
+LAID = np.array([0.001, 0.001, 0.002, math.radians(0.005)])
+"""and of loops."""
 WRONG = (0.3, 2.0)
 """A closed loop that is further off is wrong [m], [deg]."""
 ASKED = (0.15, 0.3)
@@ -104,9 +106,10 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
                     graph.drive(seen, NEXT_SIGMA, far)
                 else:
                     graph.drive(between(place[a], place[b]), DRIFT * math.sqrt(far), far)
+            wrong, sigma = (LAID, EXACT_SIGMA) if name == "sweeps" else (EXACT, LOOP_SIGMA)
             for a, b in loops:
-                seen = between(ground[nodes[a]], ground[nodes[b]]) + EXACT * rng.standard_normal(4)
-                graph.close(a, b, seen, LOOP_SIGMA)
+                seen = between(ground[nodes[a]], ground[nodes[b]]) + wrong * rng.standard_normal(4)
+                graph.close(a, b, seen, sigma)
             graph.solve(STEADY)
             off = graph.nodes - ground[nodes]
             turned = np.degrees(np.abs(wrap(off[:, 3]))).max()

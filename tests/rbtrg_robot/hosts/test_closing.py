@@ -3,31 +3,41 @@ and the elevation map becomes the one that came."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hal.rotation import wrap
-from hal.scenes.files import save_scene
+from hal.rotation import quaternion, wrap
+from hal.scenes import Scene
+from hal.types import NS
+from mapping.closing.graph import levelled
 from mapping.elevation.exchange import MapPatch
+from mapping.elevation.map import ElevationMap
+from mapping.odometry.types import Health, ScanOdometry
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.close import closed
-from rbtrg_robot.config import load
+from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.hosts.map_build import build
 from rbtrg_robot.orders.heard import Heard as Told
 from rbtrg_robot.orders.map import read
+from rbtrg_robot.stages.elevation import ElevationStage
+from rbtrg_robot.stages.odometry import OdometryStage
+from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.frames import GLIDE, MapFrame, Planar, laid
 from rbtrg_robot.wire.messages import decode, header, time_msg
 from tests.rbtrg_robot.hosts.test_initial_pose import planar
-from tools.closing import ring
+from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
 
 SHIFT = (0.16, -0.08)
 """Of the map that comes [m]: whole cells."""
@@ -153,50 +163,114 @@ def test_the_robot_glides_in_the_map_while_it_drives_and_its_goal_stays_where_it
         assert alike(heard.whole(), map_patch(prior.map[0], 0)) > 0.97
 
 
-@pytest.mark.campaign
-def test_real_loops_close_on_the_way_to_a_goal(tmp_path: Path) -> None:
-    """Round a block of 12 x 8 m and on, with a local map so small that odometry drifts."""
-    scene, corners = ring((6.0, 4.0))
-    save_scene(scene, tmp_path / "ring.npz")
-    sets = ["sim.lidar_step=4", "odometry.max_range=5.0", "recorder.profile=full"]
-    config = load(None, sets, scene=str(tmp_path / "ring.npz"))
-    run, out = tmp_path / "run", tmp_path / "closed.npz"
-    run.mkdir()
-    with Lockstep.open_log(config, run / "run.mcap") as log, Lockstep(config, log) as stack:
-        heard, told = Heard(stack), Told()
-        stack.host.listen(
-            lambda topic, payload, _: told.take(topic, decode(payload, topic.kind)), set(Told.hears)
+class Played:
+    """Odometry and elevation on a made-up drive: what LiDARs see is cast, the odometry is the truth and its drift."""
+
+    def __init__(self, drive: Drive, config: StackConfig) -> None:
+        self.drive, self.sweeps = drive, drive.sweeps()
+        self.told, self.offsets, self.status = Told(), list[tuple[int, Planar]](), msg.MapStatus()
+        x, y, _, yaw = levelled(drive.truth[0])
+        lidars = config.mounted_lidars()
+        self._scans: list[Any] = []
+        played: Any = SimpleNamespace(poll=self._poll, counters={})
+        self._odometry = OdometryStage(played, lidars, config.facts.imu, (x, y, yaw))
+        self.elevation = ElevationStage(ElevationMap(config.elevation), config.elevation_stage, lidars)
+        self.now = 0
+
+    def _poll(self) -> list[Any]:
+        scans, self._scans = self._scans, []
+        return scans
+
+    def scan(self, *, moves: bool = True) -> None:
+        """The next one; one that does not move repeats the last."""
+        if moves:
+            self.now, self._pose, clouds = next(self.sweeps)
+            self._clouds = {
+                lidar.name: c for lidar, (_, c) in zip(self.drive.eyes.lidars, clouds, strict=True)
+            }
+        else:
+            self.now += NS // 10
+        speed = np.array([1.0 * moves, 0.0, 0.0])
+        pose = self._pose[:3, 3], quaternion(self._pose[:3, :3])
+        fields = {f.name: 0.0 for f in dataclasses.fields(ScanOdometry)}
+        fields |= {"position": pose[0], "orientation": pose[1], "linear": speed, "angular": np.zeros(3)}
+        fields |= {
+            "covariance": np.zeros((6, 6)),
+            "health": Health.GOOD,
+            "degenerate": np.zeros(3),
+            "reason": "",
+        }
+        self._scans.append(
+            ScanOdometry(**(fields | {"stamp": self.now, "clouds": self._clouds, "lidars": (), "fault": ""}))
         )
-        stack.wait_ready()
+        self.hear(self._odometry.tick(self.now) + self._odometry.on(t.CLOCK, None))
+        self.hear(self.elevation.tick(self.now))
 
-        def off() -> float:
-            """Of the robot in `map` [m]."""
-            place = laid(heard.offsets[-1][1], planar(stack.newest[t.ODOM]))
-            return math.dist(place[:2], planar(stack.newest[t.TRUTH])[:2])
+    def hear(self, outputs: Outputs) -> None:
+        """Hand what one stage says to the other."""
+        for topic, message in outputs:
+            self.told.take(topic, message)
+            if topic is t.TF_STATIC:
+                frame = MapFrame()
+                frame.take(message)
+                self.offsets.append((self.now, frame.offset))
+            if topic is t.MAP_STATUS:
+                self.status = message
+                self.hear(self._odometry.on(topic, message))
+            elif topic in self.elevation.inputs:
+                self.hear(self.elevation.on(topic, message))
 
-        for x, y in corners[1:5]:
-            stack.send_goal(x, y)
-            stack.run_until(lambda: stack.newest[t.GOAL_STATUS].state == "reached", 120.0, f"{x}, {y}")
-        stack.send_goal(*corners[5])
-        stack.run(20.0)
-        goal, before = stack.send_goal(*corners[6]), off()
-        log.flush()
-        built = build([run], out)  # the robot drives on meanwhile
-        stack.run(4.0)
-        assert stack.newest[t.GOAL_STATUS].state == "moving"
-        then = told.odometry(built.stamp)
-        assert then is not None
-        first, epoch = len(heard.offsets) - 1, stack.newest[t.MAP_STATUS].epoch
-        stack.host.inject(t.MAP_PRIOR, closed(built, read(out, config.elevation), *then))
-        stack.run(0.5)
-        stack.run_until(lambda: stack.newest[t.MAP_STATUS].location == "located", 60.0, "the closed map")
-        glided = heard.offsets[first:]
-        for (since, old, _), (now, new, _) in pairwise(glided[1:]):
-            assert math.dist(old[:2], new[:2]) <= GLIDE[0] * (now - since) + 1e-6
-            assert abs(wrap(new[2] - old[2])) <= GLIDE[1] * (now - since) + 1e-6
-        after = off()
-        print(len(built.record["closed"]), built.record["moved_m"], before, after, glided[0], glided[-1])
-        assert len(built.record["closed"]) >= 2
-        assert after < 0.5 * before
-        stack.run_until(lambda: stack.newest[t.GOAL_STATUS].state == "reached", 60.0, "the goal")
-        assert (stack.newest[t.GOAL_STATUS].id, stack.newest[t.MAP_STATUS].epoch) == (goal, epoch)
+    def walls_off(self, scene: Scene) -> float:
+        """Share of trusted cells that are more than 0.3 m off: walls where none are, or none where they are."""
+        grid = self.elevation.map.grid()
+        rows, cols = np.nonzero(grid.trusted)
+        x, y = grid.origin[0] + cols * grid.resolution, grid.origin[1] + rows * grid.resolution
+        z = np.array([scene.z(*at) for at in zip(x, y, strict=True)])
+        return float((np.abs(grid.height[rows, cols] - z) > 0.3).mean())
+
+
+def test_real_loops_close_while_the_robot_drives(tmp_path: Path) -> None:
+    """Of a drive whose odometry drifts by half a metre: by its log so far, on its way, and the rest where it stands."""
+    scene, corners = ring((5.0, 3.5))
+    truth = way_through(scene, corners, step=0.5)
+    drive = Drive(scene, truth, drifted(truth, Drift(bend=math.radians(0.02), climb=0.004), 3))
+    config = load(None, ["elevation.resolution=0.08"], scene="flat")
+    played, run, out = Played(drive, config), tmp_path / "run.mcap", tmp_path / "closed.npz"
+    so_far = len(truth) - 12
+    for _ in range(so_far):
+        played.scan()
+    write_log(run, Drive(scene, truth[:so_far], drive.odometry[:so_far]), ["elevation.resolution=0.08"])
+    built = build([run], out, drift=6.0)
+    assert len(built.record["closed"]) >= 2
+    then = played.told.odometry(built.stamp)
+    assert then is not None
+    for _ in range(2):  # it drives while the map is made
+        played.scan()
+    before, epoch = played.walls_off(scene), played.status.epoch
+    played.hear(played.elevation.on(t.MAP_PRIOR, closed(built, read(out, config.elevation), *then)))
+    assert played.status.location == "closing"
+    for _ in range(10):
+        played.scan()
+    start, *_, end = played.offsets
+    place = planar_of(drive.odometry[-1])
+    for (since, old), (now, new) in pairwise(played.offsets[1:]):
+        assert math.dist(old[:2], new[:2]) <= GLIDE[0] * (now - since) / NS + 1e-6
+        assert abs(wrap(new[2] - old[2])) <= GLIDE[1] * (now - since) / NS + 1e-6
+        assert (
+            math.dist(laid(old, place)[:2], laid(new, place)[:2])
+            <= 1.01 * GLIDE[0] * (now - since) / NS + 1e-6
+        )
+    assert math.dist(laid(start[1], place)[:2], laid(end[1], place)[:2]) > 0.03
+    assert played.status.location == "closing"
+    for _ in range(40):  # it stands
+        played.scan(moves=False)
+    assert (played.status.location, played.status.epoch) == ("located", epoch)
+    here = laid(played.offsets[-1][1], place)
+    assert math.dist(here[:2], truth[-1, :2, 3]) < 0.15
+    assert played.walls_off(scene) < 0.7 * before
+
+
+def planar_of(pose: np.ndarray) -> Planar:
+    """Of a pose (4, 4)."""
+    x, y, _, yaw = levelled(pose)
+    return x, y, yaw

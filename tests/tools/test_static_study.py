@@ -13,7 +13,6 @@ from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.plan import VARIANTS, PlanRequest, plan
 from tools.bench.static.floor import edge_peaks, least_maxima
-from tools.bench.static.pictures import draw
 from tools.bench.static.study import SCENES, Instance, changed, interval, macro, measure, values
 from tools.bench.static.table import markdown
 
@@ -135,6 +134,8 @@ def test_the_yardstick_sees_a_step_on_the_route_and_unseen_ground():
 
 
 def test_the_pictures_show_routes_between_nodes(tmp_path, monkeypatch):
+    from tools.bench.static.pictures import draw  # with matplotlib, which no other test needs
+
     monkeypatch.setattr("tools.bench.static.pictures.MODES", ("native",))
     graph = TraversalGraph.from_edges(
         np.array([[1.0, 1.0, 0], [5.0, 1.0, 0]]), np.array([[0, 1]]), np.zeros(1)

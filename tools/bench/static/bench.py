@@ -22,7 +22,7 @@ from pathlib import Path
 
 from planning.search.plan import VARIANTS
 from tools.bench.report import Report
-from tools.bench.static import pictures, table
+from tools.bench.static import table
 from tools.bench.static.study import EXPECTED, METRICS, MODES, changed, macro, study, values
 
 
@@ -55,5 +55,7 @@ def run(args: list[str]) -> Report:
         json.dumps({"instances": [asdict(i) for i in instances], "missing": missing}, indent=1)
     )
     (options.out / "static.md").write_text(table.markdown(instances, missing))
+    from tools.bench.static import pictures  # with matplotlib, for which everybody else would wait
+
     pictures.draw(options.out, instances, drawn)
     return report

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from hal.safety.monitors import raised
 from rbtrg_robot import topics as t
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -23,17 +25,19 @@ class Raised:
     """Listens from now on."""
 
     def __init__(self, stack: Lockstep) -> None:
-        self._words: dict[str, None] = {}
+        self._words: dict[str, str] = {}
+        """By what is the same however far, fast or late."""
         stack.host.listen(self._hear, list(TOLD))
 
     def _hear(self, topic: Topic, payload: bytes, _now: int) -> None:
         message = decode(payload, topic.kind)
-        self._words |= dict.fromkeys(filter(None, (getattr(message, field) for field in TOLD[topic])))
+        for word in filter(None, (getattr(message, field) for field in TOLD[topic])):
+            self._words.setdefault(re.sub(r"[\d.]+", "", word), word)
 
     @property
     def words(self) -> str:
-        """All that was told, each once, in lines."""
-        return "\n".join(self._words)
+        """All that was told, in lines, each once and with its first figures."""
+        return "\n".join(self._words.values())
 
     @property
     def monitors(self) -> list[str]:

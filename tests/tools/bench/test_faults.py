@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from hal.safety.monitors import BY_NAME, TWO_ROBOTS
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.wire.messages import encode
 from tools.bench.faults.bench import all_faults, run
 from tools.bench.faults.fault import Fault, Outcome
 from tools.bench.faults.watch import Watch, by_hand
+from tools.bench.raised import Raised
 
 
 def test_a_robot_that_drives_on_is_not_at_rest_and_one_whose_guard_died_is() -> None:
@@ -35,6 +41,15 @@ def test_a_robot_that_drives_on_is_not_at_rest_and_one_whose_guard_died_is() -> 
 def _ready(stack: Lockstep) -> Lockstep:
     stack.wait_ready()
     return stack
+
+
+def test_words_that_differ_by_a_figure_alone_are_kept_once() -> None:
+    heard: list[Any] = []
+    stack: Any = SimpleNamespace(host=SimpleNamespace(listen=lambda hear, _: heard.append(hear)))
+    told = Raised(stack)
+    for reason in ("a hole 0.38 m ahead", "a hole 0.36 m ahead", "a wall 0.36 m ahead"):
+        heard[0](t.MOTION_LIMITS, encode(msg.MotionLimits(reason=reason)), 0)
+    assert told.words == "a hole 0.38 m ahead\na wall 0.36 m ahead"
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from collections import Counter
@@ -23,6 +24,8 @@ from rbtrg_robot.stages.robot import STEP_PERIOD
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.messages import stamp_of
 from tests.places import ROOT, extension
+from tests.rbtrg_robot.process.command import SPARSE, command
+from tools.bench.ports import free_port
 
 CODE = '''
 """A robot that stands, and says what it was told."""
@@ -139,3 +142,26 @@ def test_the_one_of_the_docs_delivers_what_the_stack_waits_for(module: Path) -> 
     states = [message for topic, message in outputs if topic is t.ROBOT_STATE]
     assert states[-1].phase == Phase.READY.value
     assert 0 <= now - stamp_of(states[-1]) <= 10**8
+
+
+@pytest.mark.timeout(360)
+def test_the_one_of_the_docs_comes_up_and_drives_to_a_goal(
+    module: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As its page says, in processes of their own."""
+    monkeypatch.setenv("PYTHONPATH", str(module))
+    mine = ("--robot-model", str(module / "my_robot"), "--backend", "mine:make", "--scene", "flat")
+    few = ("--without", "console", "--without", "mission", "--no-record", *SPARSE)
+    try:
+        made = command(module, "up", "--detach", *mine, *few, "--port", str(free_port()), limit=240.0)
+        assert made.returncode == 0, made.stderr
+        status = json.loads(command(module, "status", "--json").stdout)
+        assert {row["process"]: row["detail"] for row in status["processes"]}["camera"].startswith(
+            "no camera"
+        )
+        told = {row["topic"]: row["ok"] for row in status["topics"]}
+        assert told[t.HEAD_POINTS.name], "it carries none"
+        driven = command(module, "goal", "0.6", "0.0", "--wait", limit=60.0)
+        assert driven.stdout.splitlines()[-1] == "goal reached", driven.stderr
+    finally:
+        assert command(module, "down", limit=60.0).returncode == 0

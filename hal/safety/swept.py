@@ -36,8 +36,8 @@ NOISE = 0.04
 """[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise.
 """
 CERTAIN, MOST = 3.0, 0.08
-"""Standard deviations of the difference of two cells that are noise as well, and at most [m]: a height that one point
-of a LiDAR told is as uncertain as that point."""
+"""A difference of two cells is noise where it is less than so many of its standard deviations and less than so much
+[m]: a height that one point of a LiDAR told is as uncertain as that point."""
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
 POINTS = 3
@@ -294,11 +294,11 @@ def height_under(
 
 @inlined
 def _told(apart, variance, limit):  # pragma: no cover - compiled
-    """Of a difference in height `apart` [m] with a `variance` [m^2] what is more than noise, where it is more than the
-    `limit`, of which NOISE is a part."""
-    if abs(apart) <= limit:
-        return apart
-    return math.copysign(abs(apart) - max(0.0, min(CERTAIN * math.sqrt(variance), MOST) - NOISE), apart)
+    """A difference in height `apart` [m] with a `variance` [m^2]; of one above the `limit` nothing, where all of it may
+    be noise. A face that is higher than noise can be keeps its height."""
+    if limit < abs(apart) <= min(CERTAIN * math.sqrt(variance), MOST):
+        return 0.0
+    return apart
 
 
 @njit(cache=True)

@@ -368,21 +368,29 @@ def shrunk(value: float, by: float) -> float:
 
 
 def told(apart: float, variance: float, limit: float) -> float:
-    """Less what is noise beyond NOISE, of what is more than the limit."""
-    return apart if abs(apart) <= limit else shrunk(apart, min(max(3.0 * variance**0.5, NOISE), 0.08) - NOISE)
+    """Nothing of what is above the limit and may all be noise."""
+    noise = min(3.0 * variance**0.5, 0.08)
+    return 0.0 if limit < abs(apart) <= noise else apart
 
 
-def test_a_face_is_as_certain_as_its_measurement() -> None:
-    """One point of a LiDAR of 2 cm may be off by 6 cm; a wall is told by one, a face by several."""
-    for high, sigma, seen in (
-        (0.16, 0.02, False),
-        (0.16, 0.005, True),
-        (0.30, 0.02, True),
-        (0.30, 1.0, True),
-    ):
-        height = np.where((X > 0.7) & (X < 0.8), high, 0.0)
-        around = ground(height, variance=np.where(height > 0.0, sigma**2, 0.01**2))
-        assert (look(around)["ahead"].kind == FACE) is seen, (high, sigma)
+@pytest.mark.parametrize(
+    ("max_step", "high", "sigma", "seen"),
+    [
+        (0.02, 0.07, 0.025, False),
+        (0.02, 0.07, 0.005, True),
+        (0.02, 0.10, 1.0, True),
+        (0.10, 0.16, 0.02, True),
+        (0.10, 0.16, 1.0, True),
+    ],
+)
+def test_a_face_that_may_be_noise_alone_holds_no_robot_of_small_steps(
+    monkeypatch: pytest.MonkeyPatch, max_step: float, high: float, sigma: float, seen: bool
+) -> None:
+    """One point of a LiDAR of 2 cm may be off by 6 cm. What is higher than any noise holds every robot."""
+    monkeypatch.setattr("tests.hal.safety.ground.ROBOT", replace(ROBOT, max_step=max_step))
+    height = np.where((X > 0.7) & (X < 0.8), high, 0.0)
+    around = ground(height, variance=np.where(height > 0.0, sigma**2, 0.01**2))
+    assert (look(around)["ahead"].kind == FACE) is seen
 
 
 @pytest.mark.parametrize("seed", cases(12, 4))

@@ -57,10 +57,10 @@ def test_patterns_are_unit_rays_in_time_order_within_the_field_of_view(name: str
     assert (filled > 0).all()
 
 
-def test_only_the_spinning_lidar_repeats_itself() -> None:
+def test_only_the_spinning_lidars_repeat_themselves() -> None:
     for name, spec in LIDARS.items():
         same = np.array_equal(spec.pattern(0).directions, spec.pattern(1).directions)
-        assert same == (name == "xt16") == spec.repeats
+        assert same == (name in ("xt16", "vlp16")) == spec.repeats
 
 
 def test_decimation_keeps_every_ring() -> None:

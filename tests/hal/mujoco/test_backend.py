@@ -456,7 +456,7 @@ def test_divergence_is_a_fault() -> None:
 
 
 def test_bad_use_is_refused_in_words() -> None:
-    with pytest.raises(ValidationError, match="'xt16', 'mid360' or 'l1'"):
+    with pytest.raises(ValidationError, match="'xt16', 'vlp16', 'mid360' or 'l1'"):
         only("xt99")
     far = MujocoBackend(floor(), lidars=(), start=(99.0, 0.0, 0.0))
     with pytest.raises(BackendError, match="outside scene floor"):

@@ -21,8 +21,9 @@ from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, Use
 from numba.core.compiler import Flags
 
 # Numba would compile an entry for C with each kernel and with each of its own helpers: a tenth of the time, and nobody
-# calls one.
-Flags.options["no_cfunc_wrapper"]._default = True
+# calls one. A numba that has no such option takes that tenth.
+if "no_cfunc_wrapper" in Flags.options:
+    Flags.options["no_cfunc_wrapper"]._default = True
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "mapping", "planning", "tools")
 FACTS = "robot.yaml"

@@ -54,9 +54,9 @@ from rbtrg_robot.stage_config import (
 from rbtrg_robot.yaml_file import YamlError
 
 GUARD = "guard"
+"""The process that a real robot is not driven without."""
 CAMERAS = ("sim", "unitree")
 """Backends whose robot has a camera that we know."""
-"""The process that a real robot is not driven without."""
 
 
 class ConfigError(OperatorError):

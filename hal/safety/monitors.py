@@ -479,8 +479,10 @@ GROUND_HEIGHT = Monitor(
     Check.AGREEMENT,
     Consequence.LOST,
     "odometry",
-    "the {name} LiDAR sees level ground {seen:.2f} m {side} itself, by the legs it lies {told:.2f} m below it: its unit or its mount is wrong, or the robot stands in a pit or on a plinth",
-    "set its driver to metres, and look whether it is mounted as the configuration says; put the robot onto level ground",
+    "the {name} LiDAR sees level ground {seen:.2f} m {side} itself, by the legs it lies {told:.2f} m below it: "
+    "its unit or its mount is wrong, or the robot stands in a pit or on a plinth",
+    "set its driver to metres, and look whether it is mounted as the configuration says; "
+    "put the robot onto level ground",
     low=0.6,  # a robot may start on a pallet, or between kerbs; a foot, half or twice a metre is far beyond
     high=1.6,
     unit="of what the legs tell, until it was once within",

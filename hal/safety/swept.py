@@ -35,7 +35,7 @@ WITHIN = 4
 NOISE = 0.04
 """[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise.
 """
-CERTAIN, MOST = 3.0, 0.08
+NOISE_SIGMAS, MOST_NOISE = 3.0, 0.08
 """A difference of two cells is noise where it is less than so many of its standard deviations and less than so much
 [m]: a height that one point of a LiDAR told is as uncertain as that point."""
 BODY_CLEARANCE = 0.55
@@ -296,7 +296,7 @@ def height_under(
 def _told(apart, variance, limit):  # pragma: no cover - compiled
     """A difference in height `apart` [m] with a `variance` [m^2]; of one above the `limit` nothing, where all of it may
     be noise. A face that is higher than noise can be keeps its height."""
-    if limit < abs(apart) <= min(CERTAIN * math.sqrt(variance), MOST):
+    if limit < abs(apart) <= min(NOISE_SIGMAS * math.sqrt(variance), MOST_NOISE):
         return 0.0
     return apart
 

@@ -16,6 +16,7 @@ from hal.types import Array
 from mapping.closing.graph import back
 from mapping.closing.keyframes import Keyframe, seen_from
 from mapping.closing.recording import Recording
+from mapping.closing.verify import GRIP
 from mapping.relocalise.submap import NEAREST
 from mapping.thin_cloud import ThinCloud
 
@@ -29,8 +30,6 @@ CLOSE = 0.02
 """Points that lie so far off the plane [m] count a quarter, or a tenth of the pull where that is more."""
 BOTH = (0.02, 0.02, 0.02, math.radians(0.1))
 """The two ways of a registration differ by less along x, y, z [m] and in yaw [rad]."""
-GRIP = 0.05
-"""Least share of the walls' normals along the direction that they hold least: see `mapping.closing.verify`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -155,9 +155,8 @@ class NavigatorStage:
         if not self._goal or not self._goal.state.active:
             return
         if self._inputs.map is not None and self._inputs.map.location == "closing":
-            self._missing_since = (
-                self._now
-            )  # the goal stays where it is in the map: another way to it is asked for
+            # The goal stays where it is in the map: another way to it is asked for.
+            self._missing_since = self._now
             self._stand(self._goal, "the loops of the map were closed")
         else:
             self._end(GoalState.ABORTED, Reason.LOST, "the pose was set anew")

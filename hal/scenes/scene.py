@@ -90,7 +90,11 @@ class Scene:
         object.__setattr__(self, "height", height)
         for name, (x, y, _) in {"start": self.start, **self.goals}.items():
             if not self.contains(x, y):
-                raise SceneError(f"{self.name}: {name} ({x:.2f}, {y:.2f}) lies outside the terrain")
+                x0, y0, x1, y1 = self.extent
+                raise SceneError(
+                    f"{self.name}: {name} ({x:.2f}, {y:.2f}) lies outside the terrain, which reaches from "
+                    f"({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+                )
 
     @property
     def extent(self) -> tuple[float, float, float, float]:

@@ -51,11 +51,15 @@ def _version(show: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand != "up":  # it counts the kernels itself
+        from rbtrg_robot.cli.first_use import tell_once
+
+        tell_once(lambda line: say(line, error=True))
 
 
 stack.register(app)

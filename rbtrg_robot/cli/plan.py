@@ -32,10 +32,14 @@ def plan(
     map_: Annotated[
         str, typer.Argument(metavar="MAP", help="A scene, or any file that --scene or --map reads.")
     ],
-    start: Annotated[
-        str, typer.Argument(help="X,Y or X,Y,DEG in metres, or `start` of the scene.")
-    ] = "start",
-    goal: Annotated[str, typer.Argument(help="X,Y, or the name of a goal of the scene.")] = "",
+    places: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[START] GOAL",
+            help="Each X,Y or X Y in metres, START with its heading X,Y,DEG, GOAL or a goal's name. "
+            "Without START, or with the word `start`, from that of the scene.",
+        ),
+    ] = None,
     yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
     variant: Annotated[str | None, typer.Option(help="native, edge-only, mean-only, full, refined.")] = None,
     method: Annotated[
@@ -66,8 +70,9 @@ def plan(
     sets = [*(set_ or [])]
     sets += [f"planner.variant={variant}"] if variant else []
     sets += [f"planner.method={method}"] if method else []
-    if pairs is not None and (goal or start != "start"):
+    if pairs is not None and places:
         raise ConfigError("--pairs brings its own starts and goals: leave START and GOAL out")
+    start, goal = _start_and_goal(places or [])
     questions = [] if pairs is None else _read(pairs)
     at = questions[0][0] if questions else None if start == "start" else _start(start)[0]
     options = chosen(resolution, height_range, units, up)
@@ -113,6 +118,28 @@ def _status(route: Route) -> int:
         in ("invalid", "goal_in_obstacle", "start_not_on_graph", "outside_area", "keep_out_area")
         else ABORTED
     )
+
+
+def _start_and_goal(words: list[str]) -> tuple[str, str]:
+    """The words for the two places, each `X,Y` or `X Y` or a name; `start` where there is one place, empty where there
+    is none."""
+    from rbtrg_robot.config import ConfigError
+
+    found: list[str] = []
+    left = iter(words)
+    for word in left:
+        found.append(word if not _is_number(word) else f"{word},{next(left, '')}")
+    if len(found) > 2:
+        raise ConfigError(f"say two places, START and GOAL, each X,Y in metres or a name; got {len(found)}")
+    return ("start", *found, "")[:2] if len(found) < 2 else (found[0], found[1])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _writable(path: Path) -> None:

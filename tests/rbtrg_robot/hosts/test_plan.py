@@ -98,6 +98,8 @@ def test_the_command_answers_for_people_and_for_programs(wall: Path, tmp_path: P
     assert "1 of 2 reach their goal" in out
     assert run(str(wall), "2,2", "40,2")[0] == 2
     assert "No such option" not in run(str(wall), "-1,2", "6,2")[1]
+    assert run(str(wall), "2", "2", "6", "2") == run(str(wall), "2,2", "6,2")
+    assert run(str(wall), "start", "6,2") == run(str(wall), "6", "2")
     (tmp_path / "many.txt").write_text("2 2 6 2\n" * 1_300_000)
     with pytest.raises(ConfigError, match=r"many.txt has more than 10 MB: split it"):
         run(str(wall), "--pairs", str(tmp_path / "many.txt"))
@@ -123,6 +125,8 @@ def test_a_picture_and_a_file_without_a_level_place_are_planned_on(tmp_path: Pat
         (("flat", "start", "nowhere"), "goals here are"),
         (("flat", "a,b", "1,1"), "START is"),
         (("flat",), "say a goal"),
+        (("flat", "0", "0", "1"), "GOAL is"),
+        (("flat", "0,0", "1,1", "2,2"), "START and GOAL"),
         (("moon", "0,0", "1,1", "--png", "nowhere/a.png"), "cannot write nowhere/a.png: No such file"),
         (("moon", "0,0", "1,1", "--geojson", "nowhere/a.json"), "cannot write nowhere/a.json: No such file"),
     ],

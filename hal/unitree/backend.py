@@ -1,4 +1,4 @@
-"""The Go2-W through its sport service, as a backend of the contract.
+"""A Go2-W or Go2 through its sport service, as a backend of the contract.
 
 One thread, nothing blocks after `connect`. `read` drains telemetry, advances whatever transition runs and keeps Move
 going; `drive` only sets the velocity. Three things stop the robot when something above dies: the watchdog here (no
@@ -40,7 +40,7 @@ RECOVERING = "recovering"
 
 
 class UnitreeBackend:
-    """A Go2-W on `interface`. See `hal.contract.Backend`; the source clock is `clock`."""
+    """A robot on `interface`. See `hal.contract.Backend`; the source clock is `clock`."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class UnitreeBackend:
         self._steps = Transitions(self._rpc, telemetry, self.options, self._dry_run)
         try:
             if self._guarded:
-                self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
+                self._guardian = self._new_guardian()
             where = f"on {self._interface!r}, DDS domain {self._domain}"
             wait_for_robot(telemetry, self.options, where, self._clock, self._sleep)
             self._alone(telemetry)
@@ -378,7 +378,11 @@ class UnitreeBackend:
             return
         if self._guardian is not None:
             self._guardian.kill()
-        self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
+        self._guardian = self._new_guardian()
+
+    def _new_guardian(self) -> Guardian:
+        o = self.options
+        return Guardian(self._interface, self._domain, o.avoid_obstacles, o.wheels)
 
     def _release(self) -> None:
         if self._guardian is not None:

@@ -11,12 +11,13 @@ from hal.lidar.config import LidarConfig
 from hal.robots import DEFAULT, Robot, describe
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import Capabilities, Extrinsics, MountedLidar
+from hal.unitree.motion import Wheels
 
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
 
 
 class UnitreeConfig(BaseModel):
-    """Settings to reach and drive a real Go2-W and the LiDARs it carries. Times in seconds."""
+    """Settings to reach and drive a real Go2-W or Go2 and the LiDARs it carries. Times in seconds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -99,6 +100,12 @@ class UnitreeConfig(BaseModel):
     def robot(self) -> Robot:
         """What it drives."""
         return describe(self.robot_model)
+
+    @property
+    def wheels(self) -> Wheels | None:
+        """What it rolls on; None on feet."""
+        limbs = self.robot.limbs
+        return Wheels(limbs.radius, limbs.tread) if self.robot.wheeled else None
 
     def dds_domain(self, interface: str) -> int:
         """DDS domain of the robot behind a network interface."""

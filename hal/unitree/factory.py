@@ -51,6 +51,11 @@ def make_backend(
     options = options or UnitreeConfig()
     domain = options.dds_domain(interface)
     if options.level == "low":
+        if options.robot.name != "go2w":
+            raise BackendError(
+                f"our controllers drive the motors of a Go2-W alone: unitree.level=sport for {options.robot.title}",
+                retry=False,
+            )
         if dry_run:
             raise BackendError("a dry run listens to the sport service: unitree.level=sport", retry=False)
         from hal.robots.go2w.locomotion.controllers import check as check_controller

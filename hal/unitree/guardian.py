@@ -27,7 +27,7 @@ from hal.unitree import api
 from hal.unitree.api import Request, Sport, WireError
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
 from hal.unitree.link import LOW_STATE, SPORT_STATE, DdsLink, Link
-from hal.unitree.motion import Halt, Motion
+from hal.unitree.motion import Halt, Motion, Wheels
 
 SILENCE = 0.15
 """[s] without a heartbeat while moving: stop."""
@@ -42,8 +42,8 @@ START = 10.0
 class Guardian:
     """The driver's end of the guardian process."""
 
-    def __init__(self, interface: str, domain: int, avoid: bool) -> None:
-        """Start the process; `wait_ready` before moving."""
+    def __init__(self, interface: str, domain: int, avoid: bool, wheels: Wheels | None) -> None:
+        """Start the process; `wait_ready` before moving. `wheels`: see `hal.unitree.motion.Motion`."""
         command = [
             sys.executable,
             "-m",
@@ -51,6 +51,7 @@ class Guardian:
             interface,
             str(domain),
             "1" if avoid else "0",
+            *map(str, wheels or ()),
         ]
         # A session of its own: a Ctrl-C in the terminal must not take the guardian before its parent.
         self._process = subprocess.Popen(
@@ -143,15 +144,20 @@ class Guardian:
 class Order:
     """One emergency request, insisted on until the robot rests."""
 
-    def __init__(self, link: Link, avoid: bool) -> None:
+    def __init__(self, link: Link, avoid: bool, wheels: Wheels | None) -> None:
         self._link = link
         self.avoid = avoid
         """Whether the robot drives through its obstacle avoidance, which then must rest too."""
         self.halt = Halt()
-        self._motion = Motion()
+        self._motion = Motion(wheels)
         self._tick = -1
         self._stamp = b""
         self._ids: set[int] = set()
+
+    @property
+    def reachable(self) -> bool:
+        """Whether the robot's sport service is in reach."""
+        return self._link.reachable(api.SPORT)
 
     def give(self, number: Sport, now: float) -> None:
         """Start insisting on this sport request, at `now` [s, monotonic]."""
@@ -202,7 +208,7 @@ class Order:
                     self._motion.hear_low(low, now)
 
 
-def main(interface: str, domain: int, avoid: bool) -> int:
+def main(interface: str, domain: int, avoid: bool, wheels: Wheels | None) -> int:
     """Watch standard input until it ends and the last order is through."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the end of the parent is the only signal that counts
@@ -213,7 +219,7 @@ def main(interface: str, domain: int, avoid: bool) -> int:
         _say(str(error))
         return 1
     try:
-        watch(link, avoid, 0, 1)
+        watch(Order(link, avoid, wheels), 0, 1)
     finally:
         link.close()
     return 0
@@ -226,10 +232,9 @@ def motion_topics() -> list[tuple[str, Any, int]]:
     return [(LOW_STATE, idl.LowState, 1), (SPORT_STATE, idl.SportModeState, 1)]
 
 
-def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
+def watch(order: Order, orders: int, signs: int) -> None:
     """Read `orders` and write to `signs` (descriptors) as told above, until either ends and the last order is
     through."""
-    order = Order(link, avoid)
     moving, ended, ready = False, False, False
     own = False  # the order is ours, for a silent driver: not what it asked for
     heard = sign = time.monotonic()
@@ -260,7 +265,7 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
             _say(f"no heartbeat for {now - heard:.2f} s, stopping the robot")
         if not (ended or gone) and now - sign >= 0.1:
             sign = now
-            ready = ready or link.reachable(api.SPORT)
+            ready = ready or order.reachable
             try:
                 os.write(signs, b"r" if ready else b".")
             except BrokenPipeError:
@@ -290,4 +295,5 @@ def _say(words: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], int(sys.argv[2]), sys.argv[3] == "1"))
+    _, where, number, avoids, *sizes = sys.argv
+    sys.exit(main(where, int(number), avoids == "1", Wheels(*map(float, sizes)) if sizes else None))

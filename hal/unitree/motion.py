@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,7 @@ from hal.safety.slope import CREEP, SLOPE
 from hal.unitree.api import Sport
 
 WHEELS = slice(12, 16)
-"""Slots of the wheels among the motors, as in `hal.robots.go2w.facts`."""
-WHEEL_RADIUS = 0.086
-"""[m], as in `hal.robots.go2w.facts`."""
-HALF_TRACK = 0.193
-"""[m] from the middle to the wheels of a side, as in `hal.robots.go2w.facts`."""
+"""Slots of the wheels among the motors, as in `hal.limbs`."""
 WINDOW = 0.3
 """[s] that is averaged: the sway of legs and trunk after a stop lasts as long in each direction, and is no motion."""
 SAMPLE = 0.015
@@ -53,6 +50,18 @@ LONGEST = 60.0
 """[s] an order is repeated at most: a robot that was lifted turns its wheels as long as it likes."""
 
 
+class Wheels(NamedTuple):
+    """What a robot rolls on [m]."""
+
+    radius: float
+    half_track: float
+    """From the middle to the wheels of a side."""
+
+
+GO2W = Wheels(0.086, 0.193)
+"""As in its folder, which a small process does not read."""
+
+
 def remote(low: np.void) -> bool:
     """Whether somebody moves a stick of the robot's own remote; its sticks rest at 0 and read -1..1."""
     sticks = np.frombuffer(low["wireless_remote"].tobytes(), "<f4", 5, offset=4)[_STICKS]
@@ -62,7 +71,9 @@ def remote(low: np.void) -> bool:
 class Motion:
     """Speed and slope over the last moments, from LowState and sportmodestate. Times in s of any clock that goes on."""
 
-    def __init__(self) -> None:
+    def __init__(self, wheels: Wheels | None = GO2W) -> None:
+        """`wheels`: None of a robot on feet, which only its own estimate and its gyro tell of."""
+        self._wheels = wheels
         self._kept: deque[tuple[float, float, float, float, float, float]] = deque()
         """When, speed of the wheels, x and y of the robot's estimate [m/s], yaw rate by gyro and by wheels [rad/s]."""
         self._sport: tuple[float, float, float] | None = None
@@ -84,14 +95,18 @@ class Motion:
         """A LowState with a new tick."""
         if self._kept and 0.0 <= now - self._kept[-1][0] < SAMPLE:
             return
-        right, left = (
-            float(low["motor_state"]["dq"][WHEELS][side::2].mean()) * WHEEL_RADIUS for side in (0, 1)
-        )
-        wheels, spin = 0.5 * (right + left), 0.5 * (right - left) / HALF_TRACK
         turn = float(low["imu_state"]["gyroscope"][2])
-        x, y = wheels, 0.0  # alone, the wheels are believed
-        if self._sport is not None and 0.0 <= now - self._sport[0] < OLD:
-            x, y = self._sport[1:]
+        told = self._sport if self._sport is not None and 0.0 <= now - self._sport[0] < OLD else None
+        if self._wheels is not None:
+            right, left = (
+                float(low["motor_state"]["dq"][WHEELS][side::2].mean()) * self._wheels.radius
+                for side in (0, 1)
+            )
+            wheels, spin = 0.5 * (right + left), 0.5 * (right - left) / self._wheels.half_track
+            x, y = (wheels, 0.0) if told is None else told[1:]  # alone, the wheels are believed
+        else:
+            x, y = (0.0, 0.0) if told is None else told[1:]
+            wheels, spin = math.hypot(x, y), turn
         if not math.isfinite(wheels + turn):
             return
         if self._kept and now < self._kept[-1][0]:
@@ -109,7 +124,7 @@ class Motion:
         """Mean [m/s] of the last `WINDOW`, or half the yaw rate if that is more; None if nothing is heard.
 
         Wheels and the robot's estimate must agree, and in a turn wheels and gyro. The slower counts: a spinning wheel,
-        a drifting estimate or a gyro with a bias is no motion."""
+        a drifting estimate or a gyro with a bias is no motion. A robot on feet has its estimate and its gyro alone."""
         if not self._kept or not 0.0 <= now - self._kept[-1][0] < OLD:
             return None
         _, wheels, x, y, turn, spin = np.mean(self._kept, axis=0)

@@ -25,6 +25,7 @@ from hal.unitree import api
 from hal.unitree.api import Request, WireError
 from hal.unitree.factory import check
 from hal.unitree.guardian import SILENCE, Order, motion_topics
+from hal.unitree.motion import GO2W, Wheels
 
 log = logging.getLogger(__name__)
 
@@ -85,14 +86,14 @@ class Sentry:
         self._order.pump(now)
 
 
-def main(interface: str, domain: int, stopping: Callable[[], bool]) -> None:
+def main(interface: str, domain: int, stopping: Callable[[], bool], wheels: Wheels | None = GO2W) -> None:
     """Watch until told to end. Raises BackendError."""
     from hal.unitree import idl
     from hal.unitree.link import DdsLink
 
     topics = [*((name, idl.RequestMessage, 64) for name in TOPICS.values()), *motion_topics()]
     link = DdsLink(interface, domain, topics, TOPICS)
-    sentry = Sentry(Order(link, avoid=False))
+    sentry = Sentry(Order(link, avoid=False, wheels=wheels))
     log.info("watching %s, domain %d", interface, domain)
     while not stopping():
         heard = []
@@ -116,6 +117,7 @@ def run() -> int:
     )
     parser.add_argument("interface", help="network interface of the robot's network")
     parser.add_argument("--domain", type=int, help="DDS domain; default 0, on lo 1")
+    parser.add_argument("--feet", action="store_true", help="the robot stands on feet, as a Go2 does")
     options = parser.parse_args()
     domain = options.domain if options.domain is not None else int(options.interface == "lo")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
@@ -124,7 +126,7 @@ def run() -> int:
         signal.signal(number, lambda got, _frame: ended.append(got))
     try:
         check(options.interface)
-        main(options.interface, domain, lambda: bool(ended))
+        main(options.interface, domain, lambda: bool(ended), None if options.feet else GO2W)
     except BackendError as error:
         print(f"sentry: {error}", file=sys.stderr)
         return 1

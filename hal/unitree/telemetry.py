@@ -6,11 +6,13 @@ import logging
 import math
 from collections import Counter
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hal.limbs import MOTORS
 from hal.plausible import ImuCheck, impossible_joints, lost_motor
-from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation_rpy, up_of
 from hal.safety.monitors import ATTITUDE, BATTERY, CLOCK_DRIFT, CLOCK_STEP, LOW_RATE
 from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase
@@ -21,7 +23,7 @@ from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.lidars import STEP_TOLD, LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
-from hal.unitree.motion import Motion, remote
+from hal.unitree.motion import WHEELS, Motion, remote
 from hal.unitree.quality import LinkQuality
 from hal.unitree.turns import Turns
 
@@ -66,7 +68,9 @@ class Telemetry:
         """By stream why its newest impossible sample was not passed on, and when [ns]."""
         self.low_clock = RemoteClock(answers=not log_raw)
         self._link_quality = LinkQuality()
-        self.motion = Motion()
+        self.motion = Motion(options.wheels)
+        self._motors = np.flatnonzero(np.isin(MOTORS, options.robot.moves))
+        """Slots of the motors that it has."""
         self._turns = Turns()
         self.low: np.void | None = None
         self.battery = 1.0
@@ -192,11 +196,18 @@ class Telemetry:
                 out += self._imu("lowstate", stamp, now, gyro, accel)
         if self._is_due(JOINT_PERIOD):
             motors = low["motor_state"]
-            q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
+            q, dq, tau = (self._of_motors(motors[name]) for name in ("q", "dq", "tau_est"))
             self._take_state(low, now)
-            self._refuse("motors", lost_motor(motors["lost"][:16], motors["reserve"][:16, 0]), now)
+            lost, bits = self._of_motors(motors["lost"]), self._of_motors(motors["reserve"][:, 0])
+            self._refuse("motors", lost_motor(lost, bits), now)
             if not self._refuse("joints", impossible_joints(q, dq, tau), now):
                 out.append(JointSample(self._after(JointSample, stamp), q, dq, tau))
+        return out
+
+    def _of_motors(self, values: NDArray[Any]) -> Array:
+        """(16,) in the order of `hal.limbs.MOTORS`; of motors that it has not, 0."""
+        out = np.zeros(len(MOTORS))
+        out[self._motors] = values[self._motors]
         return out
 
     def _take_state(self, low: np.void, now: int) -> None:
@@ -393,9 +404,9 @@ class Telemetry:
     def speed(self) -> float:
         """Measured planar speed [m/s]; the larger of the sport service's estimate and the wheels' mean."""
         estimate = 0.0 if self.sport is None else math.hypot(*map(float, self.sport["velocity"][:2]))
-        wheels = 0.0
-        if self.low is not None:
-            wheels = abs(float(self.low["motor_state"]["dq"][go2w.WHEELS].mean())) * go2w.WHEEL_RADIUS
+        wheels, rolls_on = 0.0, self._options.wheels
+        if self.low is not None and rolls_on is not None:
+            wheels = abs(float(self.low["motor_state"]["dq"][WHEELS].mean())) * rolls_on.radius
         return max(v for v in (estimate, wheels, 0.0) if math.isfinite(v))
 
     @property
@@ -405,8 +416,8 @@ class Telemetry:
 
     @property
     def motor_temperature(self) -> float:
-        """Hottest of the sixteen motors [deg C]."""
-        return 0.0 if self.low is None else float(self.low["motor_state"]["temperature"][:16].max())
+        """Hottest of its motors [deg C]."""
+        return 0.0 if self.low is None else float(self.low["motor_state"]["temperature"][self._motors].max())
 
     @property
     def remote(self) -> bool:
@@ -415,7 +426,7 @@ class Telemetry:
 
     @property
     def contact(self) -> tuple[bool, bool, bool, bool]:
-        """Wheel on ground, FR FL RR RL. A robot without foot sensors reports zeros: taken as contact."""
+        """Wheel or foot on ground, FR FL RR RL. A robot without foot sensors reports zeros: taken as contact."""
         if self.low is None or not self.low["foot_force"].any():
             return True, True, True, True
         fr, fl, rr, rl = (bool(force > 20) for force in self.low["foot_force"])

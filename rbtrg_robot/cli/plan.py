@@ -131,7 +131,9 @@ def _start_and_goal(words: list[str]) -> tuple[str, str]:
         found.append(word if not _is_number(word) else f"{word},{next(left, '')}")
     if len(found) > 2:
         raise ConfigError(f"say two places, START and GOAL, each X,Y in metres or a name; got {len(found)}")
-    return ("start", *found, "")[:2] if len(found) < 2 else (found[0], found[1])
+    if len(found) == 2:
+        return found[0], found[1]
+    return "start", found[0] if found else ""
 
 
 def _is_number(word: str) -> bool:

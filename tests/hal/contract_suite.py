@@ -42,18 +42,27 @@ class Rig:
         hinder: Callable[[bool], object],
         robot: Robot | None = None,
         lift: Callable[[], object] | None = None,
+        x: Callable[[], float] | None = None,
     ) -> None:
         """`tick` lets one host period pass and returns the source clock [ns]; `fall` throws the robot over; while
-        `hinder`
-        is on it neither gets up nor lies down; `lift` puts one back on its feet that cannot get there by itself."""
+        `hinder` is on it neither gets up nor lies down; `lift` puts one back on its feet that cannot get there by
+        itself; `x` [m]: where a robot on feet truly is, of which no sample tells."""
+        self._x, self._been = x, [(0, 0.0)]
         self.robot = robot or describe()
         self.lift = lift
         self.backend = backend
-        self.tick = tick
+        self._tick = tick
         self.fall = fall
         self.hinder = hinder
         self.now = 0
         self.states: list[RobotState] = []
+
+    def tick(self) -> int:
+        """One host period later: the source clock [ns]."""
+        now = self._tick()
+        if self._x is not None:
+            self._been.append((now, self._x()))
+        return now
 
     def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list[Sample]:
         """Drive for `seconds` of the source clock and return what the sensors said."""
@@ -74,6 +83,10 @@ class Rig:
             joints = of(samples, JointSample)
             turned = joints[-1].position[WHEELS] - joints[0].position[WHEELS]
             return float(np.mean(turned)) * self.robot.limbs.radius
+        if self._x is not None:
+            stamps, x = zip(*self._been, strict=True)
+            first, last = np.interp([samples[0].stamp, samples[-1].stamp], stamps, x)
+            return float(last - first)
         truth = of(samples, GroundTruth)
         return float((truth[-1].position - truth[0].position)[0])
 

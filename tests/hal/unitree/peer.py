@@ -1,4 +1,4 @@
-"""A Go2-W to talk to without a Go2-W: the robot's side of the Unitree topics on DDS.
+"""A Go2-W or Go2 to talk to without one: the robot's side of the Unitree topics on DDS.
 
 By hand, with the simulated robot behind it, and the stack in a second terminal:
 
@@ -23,6 +23,7 @@ from dataclasses import fields
 from typing import Any
 
 from hal.lidar.config import only
+from hal.robots import describe
 from hal.scenes import load_scene
 from hal.types import NS
 from hal.unitree import api, idl
@@ -126,10 +127,14 @@ class Peer:
 
 def _robot(options: argparse.Namespace, faults: Faults, topic: str) -> RobotSide:
     """The robot that the command line asks for."""
+    robot = describe(options.robot)
     if options.body == "kinematic":
-        return RobotSide(KinematicBody(not options.lying), faults, options.lidar, topic)
+        body = KinematicBody(not options.lying, wheeled=robot.wheeled)
+        return RobotSide(body, faults, options.lidar, topic, robot)
     start = tuple(options.start) if options.start else None
-    body = {
+    how = {
+        "robot": robot,
+        "controller": "vmc" if robot.wheeled else robot.usual,
         "seed": options.seed,
         "lidars": only(options.lidar),
         "lidar_step": options.lidar_step,
@@ -137,9 +142,9 @@ def _robot(options: argparse.Namespace, faults: Faults, topic: str) -> RobotSide
     }
     if options.body == "motors":
         return MotorSide(
-            MotorBody(load_scene(options.scene), not options.lying, **body), faults, options.lidar, topic
+            MotorBody(load_scene(options.scene), not options.lying, **how), faults, options.lidar, topic
         )
-    return RobotSide(MujocoBody(options.scene, not options.lying, **body), faults, options.lidar, topic)
+    return RobotSide(MujocoBody(options.scene, not options.lying, **how), faults, options.lidar, topic, robot)
 
 
 def main() -> int:
@@ -149,6 +154,7 @@ def main() -> int:
     )
     parser.add_argument("--interface", default="lo")
     parser.add_argument("--domain", type=int, default=1)
+    parser.add_argument("--robot", choices=("go2w", "go2"), default="go2w")
     parser.add_argument("--body", choices=("kinematic", "mujoco", "motors"), default="kinematic")
     parser.add_argument("--scene", default="flat", help="scene of the simulated robot")
     parser.add_argument("--seed", type=int, default=0)

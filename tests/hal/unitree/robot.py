@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hal.robots.go2w import facts as go2w
+from hal.robots import Robot, describe
 from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, ModeRequest, Phase, VelocityCommand
 from hal.unitree import api
@@ -28,7 +28,7 @@ from hal.unitree.layout import (
     low_state_checksum,
 )
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE
-from hal.unitree.motion import HALF_TRACK
+from hal.unitree.motion import GO2W
 
 HOLD = 1.0
 """[s] the last Move is kept."""
@@ -139,7 +139,8 @@ class Body(Protocol):
 class KinematicBody:
     """A point with lag: quick to start and to understand."""
 
-    def __init__(self, standing: bool = True) -> None:
+    def __init__(self, standing: bool = True, *, wheeled: bool = True) -> None:
+        self._wheeled = wheeled
         self.x = self.y = self.yaw = self.v = self.wz = self.tilt = 0.0
         self.height = 0.32 if standing else 0.08
         self.phase = Phase.READY if standing else Phase.SITTING
@@ -180,8 +181,10 @@ class KinematicBody:
         self.yaw += self.wz * dt
         self.accel = np.array([dv / dt, 0.0, 9.81])
         self.gyro = np.array([0.0, 0.0, self.wz])
-        self.dq[12:] = (self.v + self.wz * HALF_TRACK * np.array([1.0, -1.0, 1.0, -1.0])) / go2w.WHEEL_RADIUS
-        self.q[12:] += self.dq[12:] * dt
+        if self._wheeled:
+            beside = GO2W.half_track * np.array([1.0, -1.0, 1.0, -1.0])
+            self.dq[12:] = (self.v + self.wz * beside) / GO2W.radius
+            self.q[12:] += self.dq[12:] * dt
 
     def scan(self) -> np.ndarray | None:
         """Floor and a round wall 5 m away, ten times a second."""
@@ -203,10 +206,19 @@ class KinematicBody:
 class RobotSide:
     """Services and telemetry of one robot. `now` [ns] counts from switching it on."""
 
-    def __init__(self, body: Body, faults: Faults | None = None, lidar: str = "l1", topic: str = "") -> None:
+    def __init__(
+        self,
+        body: Body,
+        faults: Faults | None = None,
+        lidar: str = "l1",
+        topic: str = "",
+        robot: Robot | None = None,
+    ) -> None:
         self.body, self.faults = body, faults or Faults()
+        robot = robot or describe()
+        self._motion = robot.settings.get("unitree", {}).get("motion_mode", "ai-w")
         self._lidar, self._topic = lidar, topic
-        self.motion = "" if self.faults.released else "ai-w"
+        self.motion = "" if self.faults.released else self._motion
         self.mode = {Phase.READY: 1, Phase.STANDING: 8}.get(body.phase, 5)
         self.command = (0.0, 0.0)
         self.ended = ""
@@ -228,7 +240,7 @@ class RobotSide:
         """When a Move came [ns]; whoever reads it empties it."""
         self._low = np.zeros(1, LOW_STATE_CDR)
         self._sport = np.zeros(1, SPORT_MODE_STATE_CDR)
-        mount = go2w.L1_MOUNT if lidar == "l1" else go2w.XT16_MOUNT
+        mount = robot.mounts[lidar or "xt16"]
         translation, rpy = mount.translation, mount.rpy
         if self.faults.upright_l1:
             rpy = (0.0, 0.0, 0.0)

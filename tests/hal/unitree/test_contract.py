@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from cyclonedds.domain import DomainParticipant
 
 from hal.lidar.config import only
+from hal.robots import describe
 from hal.scenes import Scene
 from hal.unitree.api import Request, Response
 from hal.unitree.config import UnitreeConfig
@@ -27,6 +29,7 @@ from tests.hal.unitree.world import World
 
 DOMAIN = 20 + os.getpid() % 200
 XT16 = UnitreeConfig(lidars=only("xt16"))
+GO2 = UnitreeConfig(robot_model="go2", motion_mode="mcf", lidars=only("xt16"))
 
 
 def walled_floor() -> Scene:
@@ -39,11 +42,11 @@ def walled_floor() -> Scene:
 class DdsWorld(World):
     """The backend's own DDS endpoints against the peer's, on one clock: what is written is there at once."""
 
-    def __init__(self) -> None:
-        body = MujocoBody(walled_floor(), lidar_step=20)
-        super().__init__(options=XT16, body=body)
-        self._dds = open_link("lo", DOMAIN, XT16)
-        self._peer = Peer(DomainParticipant(DOMAIN), self.robot, XT16.topic(XT16.lidars[0]))
+    def __init__(self, options: UnitreeConfig = XT16, **how: Any) -> None:
+        body = MujocoBody(walled_floor(), lidar_step=20, **how)
+        super().__init__(options=options, body=body)
+        self._dds = open_link("lo", DOMAIN, options)
+        self._peer = Peer(DomainParticipant(DOMAIN), self.robot, options.topic(options.lidars[0]))
 
     def send(self, service: str, request: Request) -> None:
         self._dds.send(service, request)
@@ -75,9 +78,12 @@ class DdsWorld(World):
 
 
 class TestUnitree(ContractSuite):
+    def world(self) -> DdsWorld:
+        return DdsWorld()
+
     @pytest.fixture
     def rig(self) -> Iterator[Rig]:
-        world = DdsWorld()
+        world = self.world()
 
         def tick() -> int:
             world.advance(0.01)
@@ -89,8 +95,16 @@ class TestUnitree(ContractSuite):
         def hinder(on: bool) -> None:
             world.faults.stuck = on
 
-        yield Rig(world.backend, tick, fall, hinder)
+        robot = world.backend.options.robot
+        yield Rig(world.backend, tick, fall, hinder, robot, x=None if robot.wheeled else lambda: world.body.x)
         world.leave()
+
+
+class TestGo2(TestUnitree):
+    """On feet: its speed comes from its own estimate, and the wheels' slots of LowState tell nothing."""
+
+    def world(self) -> DdsWorld:
+        return DdsWorld(GO2, robot=describe("go2"), controller="trot")
 
 
 @pytest.mark.skipif(

@@ -19,12 +19,12 @@ from hal.unitree.api import Response, Sport
 from hal.unitree.guardian import Order
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR, SPORT_MODE_STATE_CDR
 from hal.unitree.link import LOW_STATE, SPORT_STATE
-from hal.unitree.motion import FASTEST, INSIST, PATIENCE, STEEPEST, WAY, Halt, Motion
+from hal.unitree.motion import FASTEST, GO2W, INSIST, PATIENCE, STEEPEST, WAY, Halt, Motion
 from hal.unitree.sentry import Sentry
 from tests.hal.unitree.robot import Faults
 from tests.hal.unitree.world import World
 
-BESIDE = motion.HALF_TRACK * np.array([1.0, -1.0, 1.0, -1.0])
+BESIDE = motion.GO2W.half_track * np.array([1.0, -1.0, 1.0, -1.0])
 """[m] of the wheels FR, FL, RR, RL to the right."""
 
 
@@ -81,8 +81,35 @@ class Rolling:
 
 def test_the_wheels_are_those_of_the_robot() -> None:
     assert motion.WHEELS == go2w.WHEELS
-    assert motion.WHEEL_RADIUS == go2w.WHEEL_RADIUS
-    assert pytest.approx(go2w.HIP_Y + go2w.THIGH_Y + go2w.TREAD_Y, abs=1e-3) == motion.HALF_TRACK
+    assert motion.GO2W.radius == go2w.WHEEL_RADIUS
+    assert pytest.approx(go2w.HIP_Y + go2w.THIGH_Y + go2w.TREAD_Y, abs=1e-3) == motion.GO2W.half_track
+
+
+def test_a_robot_on_feet_is_judged_by_its_own_estimate_and_gyro() -> None:
+    feet = Motion(None)
+    for k in range(20):
+        feet.hear_low(low(3.0)[0], 0.02 * k)  # what stands in the wheels' slots tells nothing
+    assert feet.speed(0.38) == 0.0
+    for k in range(20, 60):
+        feet.hear_sport(sport(0.4, k)[0], 0.02 * k)
+        feet.hear_low(low(0.0)[0], 0.02 * k)
+    assert feet.speed(1.18) == pytest.approx(0.4)
+    for k in range(60, 100):
+        feet.hear_low(low(0.0, wz=0.0, bias=0.8)[0], 0.02 * k)
+    assert feet.speed(1.98) == pytest.approx(0.4), "half the yaw rate"
+
+
+def test_a_robot_on_feet_that_walks_on_after_a_stop_is_made_soft() -> None:
+    halt, feet, sent = Halt(), Motion(None), []
+    halt.begin(Sport.STOP_MOVE, 0.0)
+    halt.answered()
+    for k in range(150):
+        feet.hear_sport(sport(0.4, k)[0], 0.02 * k)
+        feet.hear_low(low(0.0)[0], 0.02 * k)
+        if (order := halt.due(0.02 * k, feet)) is not None:
+            sent.append(order)
+    assert sent[0] is Sport.STOP_MOVE
+    assert sent[-1] is Sport.DAMP
 
 
 @given(roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), speed=st.sampled_from([-0.2, 0.2]))
@@ -302,7 +329,7 @@ class Wire:
 @pytest.mark.parametrize("speed", [0.1, 0.5])
 def test_the_watches_insist_on_rest_too(who: str, speed: float) -> None:
     wire = Wire(speed)
-    order, now = Order(wire, avoid=False), 100.0  # type: ignore[arg-type]
+    order, now = Order(wire, avoid=False, wheels=GO2W), 100.0  # type: ignore[arg-type]
     sentry = Sentry(order)
     for _ in range(50):
         order.pump(now)
@@ -331,7 +358,7 @@ def test_a_lowstate_that_repeats_itself_tells_no_rest() -> None:
     wire.take = lambda topic: [
         CDR_HEADER + (low(0.0, tick=7) if topic == LOW_STATE else sport(0.0, 7)).tobytes()
     ]  # type: ignore[method-assign]
-    order = Order(wire, avoid=False)  # type: ignore[arg-type]
+    order = Order(wire, avoid=False, wheels=GO2W)  # type: ignore[arg-type]
     order.pump(0.0)
     order.give(Sport.STOP_MOVE, 2.0)
     assert order.pump(2.0)

@@ -18,7 +18,7 @@ from hal.unitree import api, guardian
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
 from hal.unitree.guardian import SILENCE, Guardian, Order, watch
 from hal.unitree.layout import CDR_HEADER
-from hal.unitree.motion import INSIST
+from hal.unitree.motion import GO2W, INSIST
 from hal.unitree.sentry import Sentry, run
 from tests.hal.unitree.test_motion import low as low_state
 
@@ -55,7 +55,7 @@ def link() -> Link:
 
 @pytest.fixture
 def sentry(link: Link) -> Sentry:
-    return Sentry(Order(link, avoid=False))
+    return Sentry(Order(link, avoid=False, wheels=GO2W))
 
 
 def test_silent_while_moves_come_and_after_a_stop(sentry: Sentry, link: Link) -> None:
@@ -139,7 +139,7 @@ def test_a_guardian_whose_driver_dies_as_it_gives_its_sign_stops_the_robot(link:
     os.write(tell, b"m")
     os.close(read)
     try:
-        watch(link, False, orders, signs)
+        watch(Order(link, False, GO2W), orders, signs)
     finally:
         for end in (orders, tell, signs):
             os.close(end)
@@ -170,7 +170,7 @@ def test_a_guardian_that_can_say_nothing_stops_the_robot(
     else:
         threading.Timer(2 * SILENCE, os.close, [tell]).start()
     try:
-        watch(link, False, orders, signs)
+        watch(Order(link, False, GO2W), orders, signs)
     finally:
         for end in (orders, read, signs):
             os.close(end)
@@ -250,7 +250,7 @@ def test_a_guardian_that_never_gets_ready_is_lost(
     lines: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     program(tmp_path, monkeypatch, lines)
-    watch = Guardian("lo", 0, avoid=False)
+    watch = Guardian("lo", 0, avoid=False, wheels=GO2W)
     clock.now = 0.9 * guardian.START
     assert watch.alive(), "it may take a moment"
     clock.now = 1.1 * guardian.START
@@ -264,7 +264,7 @@ def test_a_guardian_that_hangs_is_lost_and_can_be_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     program(tmp_path, monkeypatch, "while true; do printf r; sleep 0.05; done")
-    watch = Guardian("lo", 0, avoid=False)
+    watch = Guardian("lo", 0, avoid=False, wheels=GO2W)
     watch.wait_ready(10.0)
     os.kill(watch.pid, signal.SIGSTOP)
     os.waitid(os.P_PID, watch.pid, os.WSTOPPED)

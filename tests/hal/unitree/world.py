@@ -29,10 +29,12 @@ class World:
         **kwargs: Any,
     ) -> None:
         self.epoch = epoch
-        self.body: Any = body or KinematicBody(standing)
+        self.body: Any = body or KinematicBody(standing, wheeled=options.robot.wheeled)
         lidar = options.lidars[0] if options.lidars else None
         topic = options.topic(lidar) if lidar else ""
-        self.robot = RobotSide(self.body, faults, lidar=lidar.model if lidar else "", topic=topic)
+        self.robot = RobotSide(
+            self.body, faults, lidar=lidar.model if lidar else "", topic=topic, robot=options.robot
+        )
         self.faults = self.robot.faults
         self.elapsed = 0
         self.cut = False

@@ -25,7 +25,9 @@ def test_a_command_that_compiles_says_so_once(folder: Path) -> None:
     heard = threading.Event()
     thread = tell_once(lambda line: (said.append(line), heard.set()))
     written = 0
-    while not heard.wait(0.02) and written < 500:  # files that were there at the first look are none of its own
+    while (
+        not heard.wait(0.02) and written < 500
+    ):  # files that were there at the first look are none of its own
         (folder / f"kernels.k{written}-1.py311.nbi").touch()
         written += 1
     thread.join(5.0)

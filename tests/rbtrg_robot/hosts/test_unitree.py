@@ -12,7 +12,6 @@ import pytest
 
 from hal.lidar.config import only
 from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
-from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts import robot as robot_process
@@ -28,8 +27,11 @@ class Wired:
     """The Unitree backend on the lockstep clock: reading advances the robot's side first."""
 
     def __init__(self, config: Any) -> None:
-        body = MujocoBody(config.load_scene(), lidar_step=4, seed=3, lidars=only("xt16"))
-        self.world = World(options=UnitreeConfig(lidars=only("xt16")), body=body, epoch=0)
+        robot = config.facts
+        controller = "vmc" if robot.wheeled else robot.usual
+        how = {"robot": robot, "controller": controller, "lidars": config.lidars}
+        body = MujocoBody(config.load_scene(), lidar_step=4, seed=3, **how)
+        self.world = World(options=config.unitree_options(), body=body, epoch=0)
         self.backend = self.world.backend
         self.capabilities = self.backend.capabilities
 
@@ -61,16 +63,19 @@ class Wired:
 
 
 @pytest.fixture
-def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Lockstep, World]]:
-    """A ready stack and the robot's world."""
+def wired(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> Iterator[tuple[Lockstep, World]]:
+    """A ready stack and the robot's world; indirect: the name of the robot."""
     made: list[Wired] = []
 
-    def build(config: Any, _restored: Any) -> Wired:
+    def build(config: Any, *_rest: Any) -> Wired:
         made.append(Wired(config))
         return made[0]
 
     monkeypatch.setattr(robot_process, "_simulator", build)
-    with Lockstep(load(None, [], scene="flat", lidars=only("xt16"))) as stack:
+    robot = getattr(request, "param", "go2w")
+    with Lockstep(load(None, [], robot_model=robot, scene="flat", lidars=only("xt16"))) as stack:
         stack.wait_ready(30.0)
         yield stack, made[0].world
 
@@ -166,3 +171,20 @@ def test_whatever_fails_on_the_way_it_rests_says_why_and_reaches_the_next_goal(
     stack.run(1.0)
     assert math.dist((body.x, body.y), to) < 0.25
     assert abs(body.v) < 0.05
+
+
+@pytest.mark.parametrize("wired", ["go2"], indirect=True)
+def test_a_robot_on_feet_walks_to_its_goal(wired: tuple[Lockstep, World]) -> None:
+    """The Go2 by its own sport service, as the trot of the simulation stands behind it."""
+    stack, world = wired
+    body = world.body
+    to = (body.x + 1.5, body.y + 0.5)
+    stack.send_goal(*to)
+    status = stack.finish_goal(40.0)
+    assert (status.state, status.reason) == ("reached", "")
+    stack.run(2.0)
+    assert math.dist((body.x, body.y), to) < 0.25
+    there = body.x, body.y
+    stack.run(1.0)
+    assert math.dist((body.x, body.y), there) < 0.02, "it stands"
+    assert world.robot.motion == "mcf"

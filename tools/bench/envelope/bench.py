@@ -10,7 +10,8 @@
 With `--write` it counts failures of motions (docs/design/envelope.md) and adds the trials to the controller's file.
 With `--model` it drives the courses in somebody else's MJCF of the same robot, beside ours (`hal.mujoco.mjcf`); with
 `--write` its counts stand in the file beside ours, and the worse of both count.
-Nobody measured the vendor's service (`sport`): its file is made from that of `ASSUMED_FROM`, and says so.
+Nobody measured the vendor's service (`sport`): its file is made from that of the measured controller that climbs
+least, and says so.
 
 A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at
 most three times the nominal time. Each course is driven three times: wheel friction 0.6, 0.8, 1.0, each with its own
@@ -64,9 +65,6 @@ from tools.bench.envelope.trial import DT, RUNS, Conditions, drive
 from tools.bench.envelope.turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
 
-ASSUMED_FROM: str = "vmc"
-"""Whose counts stand for the vendor's service: of those measured the one that climbs least."""
-
 
 def run(args: list[str]) -> Report:
     """Run this bench; returns its rows. `--only` drives what its keys need; exit 2 when no key begins so."""
@@ -103,11 +101,12 @@ def run(args: list[str]) -> Report:
     if options.controller not in robot.controllers:
         parser.error(f"--controller: {robot.title} has {', '.join(robot.controllers)}")
     if options.controller == SPORT:
+        measured = min(robot.own, key=lambda name: robot.capabilities(name).max_step)
         if not options.write:
             parser.error(
-                f"{SPORT} runs on the real robot alone; with --write its envelope is assumed from {ASSUMED_FROM}'s"
+                f"{SPORT} runs on the real robot alone; with --write its envelope is assumed from {measured}'s"
             )
-        envelope = assumed(stored(ASSUMED_FROM))
+        envelope = assumed(stored(f"{robot.name}/{measured}"))
         envelope.write(options.file or robot.envelope_file(SPORT))
         return counted(envelope)
     controller: Locomotion = robot.model().controller(options.controller, options.policy, DT)

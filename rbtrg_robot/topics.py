@@ -135,6 +135,7 @@ AREAS_REQUEST  = Topic("/areas/request",         msg.Areas,            0, Qos.ST
 GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False, publish_by=Role.OPERATOR)
 GOAL_POSE      = Topic("/goal_pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False, publish_by=Role.OPERATOR)
 INITIAL_POSE   = Topic("/initialpose",           msg.PoseWithCovarianceStamped, 0, Qos.STATE, 1, "",      "where the robot stands in `map`, from RViz, Foxglove or the console; taken while it stands", safe_to_replay=False, publish_by=Role.OPERATOR)
+DOCK_POSE      = Topic("/dock/pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "where base_link is when the robot is docked, from a reader of fiducials: in map, odom or base_link", safe_to_replay=False, publish_by=Role.OPERATOR)
 GOAL_STATUS    = Topic("/goal/status",           msg.GoalStatus,       2, Qos.LATCHED,  16, "navigator", "lifecycle of the newest goal")
 MISSION_REQUEST = Topic("/mission/request",      msg.MissionRequest,   0, Qos.STATE,     8, "",          "run, pause, resume, skip, stop a mission; answer its question", safe_to_replay=False, publish_by=Role.OPERATOR)
 MISSION_ORDER  = Topic("/mission/order",         msg.MissionOrder,     0, Qos.LATCHED,   1, "mission",   "the newest mission that was accepted", safe_to_replay=False)

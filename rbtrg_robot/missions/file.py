@@ -176,6 +176,20 @@ class Explore(_Step):
     explore: Ground
 
 
+class AtDock(_Model):
+    """Where base_link is when the robot is docked, in frame `map`."""
+
+    x: float = Field(description="[m]")
+    y: float = Field(description="[m]")
+    yaw_deg: float = Field(description="heading [deg]")
+
+
+class Dock(_Step):
+    """Dock at a pose given by hand; `dock` alone goes where `/dock/pose` tells."""
+
+    dock: AtDock | None
+
+
 class Wait(_Step):
     """Stand for a while."""
 
@@ -241,6 +255,7 @@ TAGS = (
     "home",
     "explore",
     "cover",
+    "dock",
     "wait",
     "ask",
     "look",
@@ -250,11 +265,12 @@ TAGS = (
     "loop",
 )
 Step = Annotated[
-    Annotated[Literal["stand", "sit", "home", "photo"], Tag("word")]
+    Annotated[Literal["stand", "sit", "home", "dock", "photo"], Tag("word")]
     | Annotated[Goto, Tag("goto")]
     | Annotated[GoHome, Tag("home")]
     | Annotated[Explore, Tag("explore")]
     | Annotated[Cover, Tag("cover")]
+    | Annotated[Dock, Tag("dock")]
     | Annotated[Wait, Tag("wait")]
     | Annotated[Ask, Tag("ask")]
     | Annotated[Look, Tag("look")]
@@ -265,7 +281,7 @@ Step = Annotated[
     Discriminator(
         _kind,
         custom_error_type="step",
-        custom_error_message="a step is one of stand, sit, home, explore, cover, goto, wait, ask, look, "
+        custom_error_message="a step is one of stand, sit, home, explore, cover, dock, goto, wait, ask, look, "
         "record, photo, posture, loop",
     ),
 ]
@@ -363,7 +379,11 @@ class MissionFile(_Model):
 
     def _step(self, node: Any, number: int) -> msg.MissionStep:
         if isinstance(node, str):
-            plain = {"home": GoHome(home=Limits()), "photo": Photo(photo=Nothing())}
+            plain: dict[str, Any] = {
+                "home": GoHome(home=Limits()),
+                "dock": Dock(dock=None),
+                "photo": Photo(photo=Nothing()),
+            }
             node = plain.get(node) or Posture(posture=node)  # type: ignore[arg-type]
         kind = node.posture if isinstance(node, Posture) else _kind(node)
         policy, _, retries = (node.on_failure or self.on_failure).partition(" ")
@@ -405,6 +425,9 @@ def _content(node: Any) -> dict[str, Any]:
         over = node.cover
         corners = np.array(over.area, np.float64).reshape(-1)
         return {"area": corners, "duration": 60.0 * over.minutes, "swath": over.swath}
+    if isinstance(node, Dock) and node.dock is not None:
+        at = node.dock
+        return {"x": at.x, "y": at.y, "yaw": math.radians(at.yaw_deg), "has_yaw": True}
     if isinstance(node, Wait):
         return {"duration": node.wait}
     if isinstance(node, Ask):
@@ -488,6 +511,9 @@ def describe(step: msg.MissionStep) -> str:
     words: dict[str, str] = {
         Kind.GOTO: f"goto {step.x:.2f} {step.y:.2f}"
         + (f" yaw {math.degrees(step.yaw):.0f} deg" if step.has_yaw else ""),
+        Kind.DOCK: f"dock at {step.x:.2f} {step.y:.2f} yaw {math.degrees(step.yaw):.0f} deg"
+        if step.has_yaw
+        else "dock where /dock/pose tells",
         Kind.WAIT: f"wait {step.duration:g} s",
         Kind.ASK: f"ask {step.text!r} ({', '.join(step.choices)})",
         Kind.EXPLORE: "explore" + (f" an area of {len(step.area) // 2} corners" if len(step.area) else ""),

@@ -37,6 +37,7 @@ OPERATOR_MAY = OBSERVER_MAY | {
     "/robot/command",
     "/goal/request",
     "/goal_pose",
+    "/dock/pose",
     "/elevation_map/request",
     "/teleop/cmd_vel",
     "/teleop/trunk",

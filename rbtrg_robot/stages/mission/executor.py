@@ -25,7 +25,7 @@ from rbtrg_robot.stages.mission.order import (
 )
 from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.stages.mission.runner import Runner, World
-from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.navigation.goal import Goal, GoalState
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import absence, hindrance, unlocated
 from rbtrg_robot.stages.stage import Outputs
@@ -59,6 +59,7 @@ class MissionStage:
         t.TF_STATIC,
         t.VIEWPOINTS,
         t.PHOTO,
+        t.DOCK_POSE,
     )
     outputs = (
         *(t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND, t.EXPLORE_QUESTION),
@@ -121,6 +122,11 @@ class MissionStage:
             return []
         elif t.PHOTO.carried(message, topic):
             world.photo = stamp_of(message)
+            return []
+        elif t.DOCK_POSE.carried(message, topic):
+            dock = Goal.from_pose(message, world.now)
+            if dock.move_to_map(message.header.frame_id, self._frame, world.pose) is None and dock.finite:
+                world.dock = stamp_of(message), (dock.x, dock.y, dock.yaw or 0.0)
             return []
         elif t.PRESENCE.carried(message, topic):
             world.contact = world.now

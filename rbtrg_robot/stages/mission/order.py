@@ -21,6 +21,7 @@ class Kind(StrEnum):
     HOME = "home"
     EXPLORE = "explore"
     COVER = "cover"
+    DOCK = "dock"
     WAIT = "wait"
     ASK = "ask"
     STAND = "stand"
@@ -66,7 +67,7 @@ MOST_PLACES = 4000
 LONGEST_TEXT = 500
 """Characters of a name or a question."""
 EVERYWHERE = frozenset(
-    {Kind.GOTO, Kind.HOME, Kind.EXPLORE, Kind.COVER, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT}
+    {Kind.GOTO, Kind.HOME, Kind.EXPLORE, Kind.COVER, Kind.DOCK, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT}
 )
 """What every backend does. `look` is not among them: the robot process takes no attitude yet."""
 WHY_NOT = {

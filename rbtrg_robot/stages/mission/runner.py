@@ -8,6 +8,7 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import Attempt, Outcome, Verdict
 from rbtrg_robot.stages.mission.cover import Coverage
+from rbtrg_robot.stages.mission.dock import Docking
 from rbtrg_robot.stages.mission.explore import Exploration
 from rbtrg_robot.stages.mission.goal_order import GoalOrder, active
 from rbtrg_robot.stages.mission.mission import OURS, Mission, Phase, Status
@@ -19,6 +20,8 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason, absence, hindrance, words
 from rbtrg_robot.stages.stage import Outputs
 
+Roaming = Exploration | Coverage | Docking
+"""Steps that send goal after goal."""
 RETRY_PAUSE = 2 * NS
 """From a failed try to the next one [ns]."""
 RETURN_TRIES = 3
@@ -46,6 +49,8 @@ class World:
     """Id of somebody's goal that a mission took the place of."""
     photo: int = 0
     """Stamp of the newest photo [ns]."""
+    dock: tuple[int, Pose2] | None = None
+    """Stamp [ns] and pose in `map` of the dock that was told last."""
     views: msg.Viewpoints | None = None
     """The planner's newest answer to a robot that explores."""
 
@@ -79,7 +84,7 @@ class Runner:
     def __init__(self, world: World) -> None:
         self._world = world
         self.mission: Mission | None = None
-        self._attempt: Attempt | Exploration | Coverage | None = None
+        self._attempt: Attempt | Roaming | None = None
         self._told = 0
         self._goals = GoalOrder()
         self._retry_at = 0
@@ -119,7 +124,8 @@ class Runner:
             Kind.HOME,
             Kind.EXPLORE,
             Kind.COVER,
-        )  # it leads home, or sees to it itself
+            Kind.DOCK,
+        )  # it leads home or to a charger, or sees to it itself
         if not watched and (low := self._low(mission)):
             self._give_up(mission, low)
             return []
@@ -140,7 +146,7 @@ class Runner:
             if now >= self._retry_at:
                 self._begin(mission)
             return []
-        if isinstance(self._attempt, Exploration | Coverage):
+        if isinstance(self._attempt, Roaming):
             orders, verdict = self._roam(mission, self._attempt)
         else:
             self._attempt.photo = self._world.photo
@@ -154,11 +160,13 @@ class Runner:
             self.halt(Phase.PAUSED, verdict.detail)
         return orders
 
-    def _roam(self, mission: Mission, step: Exploration | Coverage) -> tuple[Outputs, Verdict]:
+    def _roam(self, mission: Mission, step: Roaming) -> tuple[Outputs, Verdict]:
         world = self._world
         if world.views is not None:
             step.take(world.views, world.now)
             world.views = None
+        if isinstance(step, Docking):
+            step.see(world.dock)
         way = step.way_home(world.way.length)
         low = "" if mission.order.no_return else world.reserve.short(way)
         verdict = step.verdict(world.now, world.goal, world.robot, way, low)
@@ -226,6 +234,9 @@ class Runner:
         elif step.kind == Kind.COVER:
             mission.goal_id, home = "", mission.ends_at is not None
             self._attempt = Coverage(step, now, self._world.pose, home, mission.memory)
+        elif step.kind == Kind.DOCK:
+            mission.goal_id = ""
+            self._attempt = Docking(step, now)
         else:
             self._attempt = Attempt(step, now, mission.goal_id)
         self.changed = True
@@ -234,7 +245,7 @@ class Runner:
 
     def _drop(self, mission: Mission, status: Status, result: str) -> None:
         """Leave the present step."""
-        if isinstance(self._attempt, Exploration | Coverage):
+        if isinstance(self._attempt, Roaming):
             mission.memory = self._attempt.memory(self._world.now)
         mission.mark(status, result)
         mission.goal_id, mission.asking = "", False

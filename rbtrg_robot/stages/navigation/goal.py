@@ -192,9 +192,14 @@ class Goal:
             self.yaw = wrap(self.yaw + turn)
         return None
 
+    @property
+    def finite(self) -> bool:
+        """Whether its numbers are."""
+        return all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout))
+
     def misplaced(self, area: GoalArea) -> tuple[Reason, str] | None:
         """Why the robot cannot go there; None where it can."""
-        if not all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout)):
+        if not self.finite:
             return Reason.INVALID, "it has numbers that are not finite"
         breach, by = area.fence.breach(self.x, self.y)
         if by is None or breach <= -area.room:

@@ -192,7 +192,7 @@ def test_a_driver_that_pauses_and_comes_back_is_not_stopped_by_what_was_begun_fo
     link = Rolling()
     orders, tell = os.pipe()
     read, signs = os.pipe()
-    watcher = threading.Thread(target=watch, args=(link, False, orders, signs))
+    watcher = threading.Thread(target=watch, args=(Order(link, False, GO2W), orders, signs))
     watcher.start()
 
     def drive(seconds: float) -> None:

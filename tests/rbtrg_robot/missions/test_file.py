@@ -72,7 +72,7 @@ def test_a_file_becomes_an_order() -> None:
     [
         ("steps: []", "at least 1 item"),
         ("nme: 3\nsteps: [sit]", "nme: there is no such key"),
-        ("steps: [dance]", "step 1: Input should be 'stand', 'sit', 'home' or 'photo'"),
+        ("steps: [dance]", "step 1: Input should be 'stand', 'sit', 'home', 'dock' or 'photo'"),
         ("steps: [sit, {gogo: 1}]", "step 2: a step is one of"),
         ("steps: [{wait: 1, sit: 2}]", "step 1 sit: there is no such key"),
         ("steps: [{goto: {x: 1}}]", "step 1 y: Field required"),

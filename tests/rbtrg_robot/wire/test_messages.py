@@ -73,6 +73,7 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
         "/cmd_trunk",
         "/goal/request",
         "/goal_pose",
+        "/dock/pose",
         "/initialpose",
         "/elevation_map/prior",
         "/track/path",

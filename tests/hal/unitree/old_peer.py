@@ -58,7 +58,9 @@ def main(domain):
     start = time.monotonic()
     low_body, sport_body = bytearray(1180), bytearray(516)
     low_body[:4] = sport_body[:4] = b"\0\1\0\0"
-    struct.pack_into("<4f", low_body, 4 + 24, 1.0, 0.0, 0.0, 0.0)  # upright
+    struct.pack_into(
+        "<10f", low_body, 4 + 24, 1.0, *[0.0] * 8, 9.81
+    )  # upright and at rest: attitude, gyro, gravity
     while not select.select([0], [], [], 0.002)[0]:
         elapsed = time.monotonic() - start
         struct.pack_into("<I", low_body, 4 + TICK, int(elapsed * 1000))

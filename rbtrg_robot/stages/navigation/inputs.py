@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from hal.safety.monitors import PLACE_UNSURE
+from hal.safety.touch import FACE
 from hal.types import FELT_EDGE, NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -64,6 +65,11 @@ class Inputs:
     def room_ahead(self) -> bool:
         """Whether the guard lets the robot forward, a decimetre at least."""
         return self.limits is not None and self.limits.forward >= ROOM_AHEAD
+
+    @property
+    def astride(self) -> bool:
+        """Whether a face lies under the body, by the guard's map."""
+        return self.limits is not None and min(self.limits.uneven_ahead, self.limits.uneven_behind) > FACE
 
     @property
     def turn_held(self) -> float:

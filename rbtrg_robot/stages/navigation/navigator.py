@@ -320,7 +320,9 @@ class NavigatorStage:
             broken = PLANNER_SILENT
         beside = self._inputs.beside if on_path else 0.0
         strayed = goal.state is GoalState.RECOVERING and beside > STRAY_BESIDE
-        if (self._slide.off(now, beside) or strayed) and not broken:
+        # Astride a face a robot goes on: one that was stopped there, with its nose down a kerb, turned back and fell.
+        off = self._slide.off(now, beside) and not self._inputs.astride
+        if (off or strayed) and not broken:
             broken = f"{beside:.2f} m beside its way"
         if broken:
             self._stand(goal, broken)

@@ -1134,6 +1134,21 @@ def test_a_robot_that_slid_off_its_path_stands_and_asks_anew(world: World, side:
     assert world.status.state == "moving"
 
 
+def test_astride_a_face_a_robot_beside_its_path_goes_on(world: World) -> None:
+    free = {"forward": 1.0, "backward": 1.0, "left": 1.0, "right": 1.0}
+    world.goal()
+    world.answer()
+    requests = world.count(t.PLAN_REQUEST)
+    world.cross_track = 0.19
+    world.send(t.MOTION_LIMITS, **free, uneven_ahead=0.1, uneven_behind=0.2)
+    world.run(1.5)
+    assert world.count(t.PLAN_REQUEST) == requests
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+    world.send(t.MOTION_LIMITS, **free, uneven_ahead=0.1, uneven_behind=0.01)
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1, "what lies ahead is not under it"
+
+
 def test_a_robot_is_not_moved_out_where_the_guard_holds_it(world: World) -> None:
     """It stood across a lane, was backed out to the wall behind it, and then told to back out further."""
     world.come_along()

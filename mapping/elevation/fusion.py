@@ -16,6 +16,9 @@ DROP_NAN, DROP_RANGE, DROP_BODY, DROP_CEILING, USED, RAYS, NEXT = 0, 1, 2, 3, 4,
 """Counters of `project`."""
 CELLS, AGREED, NEW, CONFLICT, REPLACED, OVERHANG = 0, 1, 2, 3, 4, 5
 """Counters of `fuse`."""
+LOW_RISE = 0.1
+"""[m] above known ground single points beside the end of a wall are mixed pixels as often as not. What is higher is an
+obstacle, or leaves, and in the map at once."""
 OVER_LEAVES = 0.1
 """[m] above the leaves: what a scan sees there is something else that came to stand among them."""
 TOP, BOTTOM, WEIGHT, DEPTH, POINTS, SHARED, FIRST = 0, 1, 2, 3, 4, 5, 6
@@ -227,11 +230,13 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
 
     rule: gate [sigmas], smallest gate [m], face [m], clearance [m], scans until a higher and until a lower surface
     takes over, smallest variance, drift variance per ms, largest variance, points of an established cell, memory of a
-    contradiction [ms].
+    contradiction [ms], points of a cell that is known for sure.
 
     A measurement beyond the gate builds up the cell's second mode. That takes over after enough scans in a row, with
-    as many points as an established cell has. A lower measurement on a face (vertical extent in this scan)
-    contradicts nothing: the wall's top is only out of view.
+    as many points as an established cell has; by no more than LOW_RISE over a height that is known for sure, with as
+    many as that has. Few points do not move an established cell up by more than the smallest gate either, however
+    uncertain it is. A lower measurement on a face (vertical extent in this scan) contradicts nothing: the wall's top is
+    only out of view.
 
     residuals: [sum of z - h over agreeing established cells, their number], for the drift estimate. touched: flag per
     tile of 1 << area cells."""
@@ -266,7 +271,7 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
             dz = z - h
             limit2 = gate2 * (v + pv)
             limit2 = limit2 if limit2 > gate_min2 else gate_min2
-            far = dz * dz > limit2
+            far = dz * dz > limit2 or (dz > gate_min and points < settled and cell.count >= settled)
             # one or two stray points (mixed pixels at edges) give way at once
             new = far and cell.count < settled and n >= cell.count
         if new:
@@ -317,7 +322,8 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
             cell.streak = 1
         cell.alt_seen = now
         # fewer points would leave a cell that is not read out, and that the next stray point begins anew
-        if cell.streak >= (rule[4] if dz > 0.0 else rule[5]) and n * np.int64(cell.streak) >= settled:
+        wanted = rule[11] if 0.0 < dz <= LOW_RISE and cell.count >= rule[11] else settled
+        if cell.streak >= (rule[4] if dz > 0.0 else rule[5]) and n * np.int64(cell.streak) >= wanted:
             if dz > 0.0:
                 if not cell.below < h:
                     cell.below = cell.height

@@ -112,6 +112,7 @@ class ElevationMap:
             [
                 p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,
                 p.drift_sigma**2 / 1000.0, p.trust_sigma**2, p.trust_count, 1000.0 * p.conflict_memory,
+                p.alone_count,
             ]
         )  # fmt: skip
         self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)

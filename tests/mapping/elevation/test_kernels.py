@@ -9,7 +9,7 @@ from mapping.elevation import fusion as kernels
 from mapping.elevation.tiles import CONTACT, FRESH, LIDAR, PLANTS, UNKNOWN, TileStore
 from mapping.elevation.visibility import COMPANY, judge, trace
 
-RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0])
+RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0, 6])
 
 
 def rotation(rng: np.random.Generator) -> np.ndarray:
@@ -153,11 +153,12 @@ class CellOracle:
 
     def take(self, z, pv, n, top, bottom, now):
         gate = None if self.h is None else max(0.05, 2.5 * (self.v + pv) ** 0.5)
+        few = self.h is not None and self.n >= 3 > n and z - self.h > 0.05
         if self.h is None or (abs(z - self.h) > gate and self.n < 3 and n >= self.n):
             self.__init__()
             self.h, self.v, self.n, self.seen = z, max(pv, RULE[6]), n, now
             return
-        if abs(z - self.h) <= gate:
+        if abs(z - self.h) <= gate and not few:
             v = min(self.v + 1e-8 * (now - self.seen), RULE[8])
             self.h = (v * z + pv * self.h) / (v + pv)
             self.v = max(v * pv / (v + pv), RULE[6])
@@ -174,8 +175,8 @@ class CellOracle:
         else:
             self.alt, self.streak = z, 1
         self.alt_seen = now
-        up = z > self.h
-        if self.streak >= (2 if up else 5) and n * self.streak >= 3:
+        up, low = z > self.h, 0.0 < z - self.h <= 0.1
+        if self.streak >= (2 if up else 5) and n * self.streak >= (6 if low and self.n >= 6 else 3):
             if up and (self.below is None or self.below >= self.h):
                 self.below = self.h
             if not up and self.below is not None and self.below >= self.alt - gate:
@@ -218,6 +219,32 @@ def test_fuse_equals_a_plain_reading_of_the_rules() -> None:
     np.testing.assert_allclose(got["below"], below, atol=2e-5)
     assert counts[kernels.REPLACED] > 50
     assert counts[kernels.OVERHANG] > 0
+
+
+@pytest.mark.parametrize(
+    ("sigma", "known", "points", "rise", "scans"),
+    [
+        (0.003, 30, 1, 0.08, 6),  # mixed pixels beside the end of a wall
+        (0.04, 6, 1, 0.08, 6),  # the same over a prior map, which is less certain
+        (0.003, 5, 1, 0.08, 3),
+        (0.003, 30, 3, 0.08, 2),
+        (0.003, 30, 1, 0.12, 3),  # somebody steps there
+        (0.003, 30, 3, 0.12, 2),
+    ],
+)
+def test_few_points_do_not_raise_by_little_a_height_that_many_told(sigma, known, points, rise, scans) -> None:
+    store = TileStore(8)
+    index = store.locate(np.array([3]), np.array([3]))
+    row = store.cells[index]
+    row["height"], row["variance"], row["count"], row["source"] = 0.0, sigma**2, known, LIDAR
+    row["upper"], row["alt"], row["below"] = np.inf, np.nan, np.nan
+    store.cells[index] = row
+    counts, residuals = np.zeros(6, np.int64), np.zeros(2)
+    sums = np.array([[rise, rise, 4e4 * points, 0.0, points, 1e-5 * points, 0.0, 0.0]], np.float32)
+    for scan in range(1, scans + 1):
+        assert store.cells[index]["height"][0] == 0.0, f"before scan {scan}"
+        kernels.fuse(index, sums, 1, store.cells, 100 * scan, RULE, counts, residuals, store.touched, 6)
+    assert store.cells[index]["height"][0] == pytest.approx(rise)
 
 
 def crossing(sensor, end, low, high):

@@ -33,6 +33,8 @@ from hal.unitree.motion import GO2W
 HOLD = 1.0
 """[s] the last Move is kept."""
 LOW_STATE_PERIOD = NS // 500
+BESIDE = GO2W.half_track * np.array([1.0, -1.0, 1.0, -1.0])
+"""Of the wheels, to the left [m]."""
 
 
 @dataclass
@@ -179,11 +181,9 @@ class KinematicBody:
         self.x += self.v * math.cos(self.yaw) * dt
         self.y += self.v * math.sin(self.yaw) * dt
         self.yaw += self.wz * dt
-        self.accel = np.array([dv / dt, 0.0, 9.81])
-        self.gyro = np.array([0.0, 0.0, self.wz])
+        self.accel[0], self.gyro[2] = dv / dt, self.wz
         if self._wheeled:
-            beside = GO2W.half_track * np.array([1.0, -1.0, 1.0, -1.0])
-            self.dq[12:] = (self.v + self.wz * beside) / GO2W.radius
+            self.dq[12:] = (self.v + self.wz * BESIDE) / GO2W.radius
             self.q[12:] += self.dq[12:] * dt
 
     def scan(self) -> np.ndarray | None:
@@ -239,6 +239,16 @@ class RobotSide:
         self.moves: list[int] = []
         """When a Move came [ns]; whoever reads it empties it."""
         self._low = np.zeros(1, LOW_STATE_CDR)
+        low = self._low[0]
+        low["head"], low["foot_force"], low["motor_state_first_mode"] = (0xFE, 0xEF), 60, 1
+        low["motor_state_modes"]["mode"] = 1
+        # Looked up once: LowState is written 500 times a second.
+        motors, imu = low["motor_state"], low["imu_state"]
+        self._joints = tuple(motors[name][:16] for name in ("q", "dq", "tau_est", "temperature"))
+        self._lost = motors["lost"][5:6], motors["reserve"][5, 0:1]
+        self._imu = tuple(imu[name] for name in ("quaternion", "gyroscope", "accelerometer"))
+        # head (2 bytes), keys (2), then floats: lx, rx, ry, L2, ly
+        self._sticks = low["wireless_remote"][4:24].view("<f4")
         self._sport = np.zeros(1, SPORT_MODE_STATE_CDR)
         mount = robot.mounts[lidar or "xt16"]
         translation, rpy = mount.translation, mount.rpy
@@ -429,24 +439,17 @@ class RobotSide:
         return cr * cy, sr * cy, sr * sy, cr * sy
 
     def _write_low(self) -> None:
-        low, body = self._low[0], self.body
-        low["head"] = (0xFE, 0xEF)
-        low["tick"] = self._tick % 2**32
-        low["sn"] = (self.faults.serial, 0)
-        motors = low["motor_state"]
-        motors["q"][:16], motors["dq"][:16], motors["tau_est"][:16] = body.q, body.dq, body.tau
-        motors["temperature"][:16] = 38
-        imu = low["imu_state"]
-        imu["quaternion"], imu["gyroscope"], imu["accelerometer"] = self._quaternion(), body.gyro, body.accel
-        imu["accelerometer"] *= self.faults.accel_scale
-        imu["quaternion"] *= self.faults.attitude
-        motors["lost"][5], motors["reserve"][5, 0] = self.faults.lost, 4 * (self.faults.lost > 0)
-        low["bms_state"]["soc"] = self.faults.charge
-        low["foot_force"] = 60
-        # head (2 bytes), keys (2), then floats: lx, rx, ry, L2, ly
-        low["wireless_remote"][4:24] = np.array(self.faults.remote, "<f4").view(np.uint8)
-        low["motor_state_first_mode"] = 1
-        low["motor_state_modes"]["mode"] = 1
+        low, body, faults = self._low[0], self.body, self.faults
+        low["tick"], low["sn"] = self._tick % 2**32, (faults.serial, 0)
+        q, dq, tau, temperature = self._joints
+        q[:], dq[:], tau[:], temperature[:] = body.q, body.dq, body.tau, 38
+        quaternion, gyro, accel = self._imu
+        quaternion[:], gyro[:], accel[:] = self._quaternion(), body.gyro, body.accel
+        accel *= faults.accel_scale
+        quaternion *= faults.attitude
+        self._lost[0][:], self._lost[1][:] = faults.lost, 4 * (faults.lost > 0)
+        low["bms_state"]["soc"] = faults.charge
+        self._sticks[:] = faults.remote
 
     def _low_bytes(self) -> bytes:
         low = self._low[0]

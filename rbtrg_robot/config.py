@@ -47,6 +47,7 @@ from rbtrg_robot.stage_config import (
     FreshnessConfig,
     GraphConfig,
     GuardConfig,
+    LoopsConfig,
     NavigatorConfig,
     PlannerConfig,
     RecorderConfig,
@@ -169,6 +170,7 @@ class StackConfig(BaseModel):
     odometry: OdometryConfig = OdometryConfig()
     elevation: ElevationConfig = ElevationConfig()
     elevation_stage: ElevationStageConfig = ElevationStageConfig()
+    loops: LoopsConfig = LoopsConfig()
     graph: GraphConfig = GraphConfig()
     body: BodyModel = BodyModel()
     planner: PlannerConfig = PlannerConfig()
@@ -287,6 +289,12 @@ class StackConfig(BaseModel):
     def simulated(self) -> bool:
         """Source clock is the simulator's."""
         return self.backend == "sim"
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Processes that are not started."""
+        unused = {"recorder": not self.record, "loops": not self.loops.online}
+        return (*self.without, *(name for name, none in unused.items() if none and name not in self.without))
 
     @property
     def scope(self) -> Scope:

@@ -144,6 +144,18 @@ class ElevationStageConfig(BaseModel):
     )
 
 
+class LoopsConfig(BaseModel):
+    """Loops that are closed while the robot works."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    online: bool = Field(False, description="find loops while the stack runs, and close them")
+    least: float = Field(0.1, ge=0.0, description="a map that moves less than this is not taken [m]")
+    drift: float = Field(
+        1.0, ge=0.1, le=100.0, description="how many times more than usual the odometry drifts"
+    )
+
+
 class PlannerConfig(BaseModel):
     """Settings of the planner process; the graph and the body have their own."""
 

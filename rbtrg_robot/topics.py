@@ -129,6 +129,7 @@ MAP_CLOUD      = Topic("/elevation_map/cloud",   msg.PointCloud2,      0, Qos.ST
 MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.MapPart,          0, Qos.STATE,    32, "planner",   "the planner's copy of the map, in parts, for a restarted elevation process", recorded="")
 MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full, parts: send the whole map and its cloud; clear: forget what the robot touched", publish_by=Role.OPERATOR)
 MAP_PRIOR      = Topic("/elevation_map/prior",   msg.MapPrior,         0, Qos.STATE,     1, "",          "a prior map to begin anew with, while the robot stands", recorded="full standard", safe_to_replay=False, publish_by=Role.OPERATOR)
+MAP_CLOSED     = Topic("/elevation_map/closed",  msg.MapPrior,         0, Qos.STATE,     1, "loops",     "the map of this run with its loops closed, and where `odom` lies in it", recorded="full standard", safe_to_replay=False)
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,    64, "elevation", "size and age of the map; a new epoch, before its blocks")
 AREAS          = Topic("/areas",                 msg.Areas,            0, Qos.LATCHED,   1, "elevation", "areas that were drawn: where the robot stays inside, and what it keeps out of", safe_to_replay=False)
 AREAS_REQUEST  = Topic("/areas/request",         msg.Areas,            0, Qos.STATE,     2, "",          "all areas that are to count from now on, beside those of the configuration", safe_to_replay=False, publish_by=Role.OPERATOR)

@@ -57,7 +57,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.stages": "hal hal.robots hal.safety hal.safety.monitors mapping "
-    "mapping.elevation mapping.odometry mapping.relocalise planning planning.graph "
+    "mapping.closing mapping.elevation mapping.odometry mapping.relocalise planning planning.graph "
     "planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",

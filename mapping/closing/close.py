@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from hal.rotation import wrap
 from hal.types import Array
 from mapping.closing.fuse import corrected, fuse
 from mapping.closing.graph import PoseGraph, after, back, between
-from mapping.closing.keyframes import Keyframe, Surroundings, keep, keyframes_of
+from mapping.closing.keyframes import AROUND, Keyframe, Surroundings, keep, keyframes_of
 from mapping.closing.recording import Recording
 from mapping.closing.refine import Sweep, apart, exact
 from mapping.closing.verify import BOTH, LEAD, Match, Refusal, Verifier, pose_of, rivals
@@ -84,6 +84,8 @@ class Closed:
     refused: list[Refusal]
     lost: list[int]
     """Runs of which no keyframe was found in those before: they are not in the map."""
+    stretch: float
+    """Farthest that the graph moved a step of odometry [standard deviations]."""
 
 
 class Closing:
@@ -96,19 +98,12 @@ class Closing:
         `DRIFT` and `STEADY` the odometry drifts."""
         self._recording, self._params = recording, params
         self._drift, self._steady = drift * DRIFT, drift * STEADY
-        self.keyframes = keyframes_of(recording.scans)
+        self._origin = origin
+        self.keyframes: list[Keyframe] = []
         self._around = Surroundings(recording, params)
         self._verifier = Verifier(self.keyframes, self._around)
         self.graph = PoseGraph()
-        for k, frame in enumerate(self.keyframes):
-            before = self.keyframes[k - 1] if k else None
-            if before is None or before.run != frame.run:
-                self.graph.begin(after(origin, frame.place) if k == 0 else frame.place)
-            else:
-                way = math.sqrt(max(frame.along - before.along, 0.1))
-                self.graph.drive(
-                    between(before.place, frame.place), self._drift * way, frame.along - before.along
-                )
+        """By odometry and loops; where loops may be is searched by it."""
         self.matches: list[Match] = []
         """Of the loops of the graph, in its order."""
         self.refused: list[Refusal] = []
@@ -118,12 +113,29 @@ class Closing:
         """Keyframes that were searched in the whole map."""
         self._absent: set[int] = set()
         """Keyframes of further runs that were not found where the map of another run has their place."""
-        self._rises: list[tuple[int, float]] = []
-        """How much higher two sweeps put a keyframe than the one before [m], by its number."""
-        self._sweeps: OrderedDict[int, Sweep] = OrderedDict()
+        self._ways: dict[int, Array | None] = {}
+        """(4,) keyframes in the frames of the ones before by two sweeps, by their number; None where these do not
+        agree."""
+        self._exact: dict[tuple[int, int], Array | None] = {}
+        """The same of loops."""
+        self._sweeps: OrderedDict[int, Sweep | None] = OrderedDict()
         self._prior: tuple[int, PriorMap] | None = None
         self._found = {0}
         """Runs whose place is known."""
+        self._extend()
+
+    def _extend(self) -> None:
+        """Keyframes of what was recorded since."""
+        for frame in keyframes_of(self._recording.scans, self.keyframes[-1:]):
+            before = self.keyframes[-1] if self.keyframes else None
+            if before is None or before.run != frame.run:
+                self.graph.begin(after(self._origin, frame.place) if before is None else frame.place)
+            else:
+                way = math.sqrt(max(frame.along - before.along, 0.1))
+                self.graph.drive(
+                    between(before.place, frame.place), self._drift * way, frame.along - before.along
+                )
+            self.keyframes.append(frame)
 
     def close(self, progress: Callable[[float], None] = lambda _share: None) -> Closed:
         """Twice over all keyframes: what the first time was too far off may be in reach once other loops are closed.
@@ -132,90 +144,135 @@ class Closing:
         for n in range(2 * count):
             number = n % count
             if not any(number == match.second for match in (*self.matches, *self._waiting)):
-                self._take(number)
+                for _ in self._take(number):
+                    pass
             progress((n + 1) / (3 * count))
         self._doubt()
         for number in range(count):
             self._measure(number)
             progress((2 * count + number + 1) / (3 * count))
-        self._level()
         for match in self._waiting:
             self._refuse(match, "alone: no other loop near it says the same")
-        weights = self.graph.solve(self._steady) if len(self.keyframes) else np.empty(0)
-        edges = self.graph.loops
-        off = edges.errors(self.graph.nodes) * edges.sigma
+        return self._closed()
+
+    def follow(self) -> Iterator[Closed | None]:
+        """Loops of one run that goes on, while its scans are recorded: without end, a piece of work of some tenths of a
+        second at a time. What is known each time that loops were closed. A keyframe is searched once, when its
+        surroundings were seen."""
+        number = 0
+        while True:
+            self._extend()
+            if (
+                number == len(self.keyframes)
+                or self._recording.scans[-1].along < self.keyframes[number].along + AROUND
+            ):
+                yield None
+                continue
+            before = list(self.matches)
+            for _ in self._take(number):
+                yield None
+            number += 1
+            if self.matches != before:
+                for each in range(len(self.keyframes)):
+                    if self._measure(each):
+                        yield None
+                yield self._closed()
+
+    def _closed(self) -> Closed:
+        """What the graph says when it knows what sweeps measured, too."""
+        graph = self._measured()
+        weights = graph.solve(self._steady) if len(self.keyframes) else np.empty(0)
+        edges = graph.loops
+        off = edges.errors(graph.nodes) * edges.sigma
         loops = [
-            Loop(match, one, float(weight))
+            Loop(
+                match
+                if (found := self._exact.get((match.first, match.second))) is None
+                else replace(match, relative=found),
+                one,
+                float(weight),
+            )
             for match, one, weight in zip(self.matches, off, weights, strict=True)
         ]
         runs = {frame.run for frame in self.keyframes}
         return Closed(
-            self.keyframes,
-            self.graph.nodes,
-            self._by_odometry(),
+            list(self.keyframes),
+            graph.nodes,
+            self._by_odometry(graph.nodes),
             loops,
-            self.refused,
+            list(self.refused),
             sorted(runs - self._found),
+            float(np.abs(graph.odometry.errors(graph.nodes)).max(initial=0.0)),
         )
 
-    def _measure(self, number: int) -> None:
-        """The way to a keyframe, and its loops, by sweeps that are laid onto each other."""
-        frame = self.keyframes[number]
+    def _measure(self, number: int) -> bool:
+        """The way to a keyframe, and its loops, by sweeps that are laid onto each other. Returns whether there was
+        anything to do."""
+        frame, did = self.keyframes[number], False
         before = self.keyframes[number - 1] if number else None
-        if before is not None and before.run == frame.run:
+        if before is not None and before.run == frame.run and number not in self._ways:
             edge = number - 1 - frame.run
             way = self.graph.odometry
             said, sigma = way.relative[edge], way.sigma[edge]
-            found = exact(self._sweep(before), self._sweep(frame), said)
-            if found is not None and (apart(found, said) < SIGMAS * sigma).all():
-                self._rises.append((number, found[2]))
-                found[2] = said[2]
-                self.graph.measure(edge, found, np.where([1, 1, 0, 1], NEXT_SIGMA, sigma), loop=False)
-        for n, match in enumerate(self.matches):
-            if match.second != number:
-                continue
-            first = self.keyframes[match.first]
-            found = exact(self._sweep(first), self._sweep(frame), match.relative)
-            if found is not None and (apart(found, match.relative) < BOTH).all():
-                self.matches[n] = replace(match, relative=found)
-                self.graph.measure(n, found, EXACT_SIGMA, loop=True)
+            found, did = exact(self._sweep(before), self._sweep(frame), said), True
+            near = found is not None and (apart(found, said) < SIGMAS * sigma).all()
+            self._ways[number] = found if near else None
+        for match in self.matches:
+            loop = match.first, match.second
+            if match.second == number and loop not in self._exact:
+                first = self.keyframes[match.first]
+                found, did = exact(self._sweep(first), self._sweep(frame), match.relative), True
+                near = found is not None and (apart(found, match.relative) < BOTH).all()
+                self._exact[loop] = found if near else None
+        return did
 
-    def _level(self) -> None:
-        """Heights along the way by sweeps, too. A level that is wrong makes them rise in one direction, or by the
-        metre: the way by odometry and loops tells how much."""
-        self.graph.solve(self._steady)
-        frames, way = self.keyframes, self.graph.odometry
+    def _measured(self) -> PoseGraph:
+        """The graph with what sweeps measured. A level that is wrong makes heights by sweeps rise in one direction, or
+        by the metre: the way by odometry and loops tells how much."""
+        graph, frames = self.graph.copy(), self.keyframes
+        way = graph.odometry
+        ways = {number: found for number, found in self._ways.items() if found is not None}
+        for number, found in ways.items():
+            edge = number - 1 - frames[number].run
+            flat = np.array([*found[:2], way.relative[edge, 2], found[3]])
+            graph.measure(edge, flat, np.where([1, 1, 0, 1], NEXT_SIGMA, way.sigma[edge]), loop=False)
+        for n, match in enumerate(self.matches):
+            if (there := self._exact.get((match.first, match.second))) is not None:
+                graph.measure(n, there, EXACT_SIGMA, loop=True)
+        if len(frames):
+            graph.solve(self._steady)
+        way, heights = graph.odometry, graph.nodes[:, 2]
         for run in {frame.run for frame in frames}:
-            there = [(number, rise) for number, rise in self._rises if frames[number].run == run]
-            if len(there) < LEVELS:
+            end = np.array([n for n in sorted(ways) if frames[n].run == run], np.int64)
+            if len(end) < LEVELS:
                 continue
-            end, rise = np.array([n for n, _ in there]), np.array([z for _, z in there])
+            rise = np.array([ways[n][2] for n in end.tolist()])
             far = np.array([frames[n].place[:2] - frames[n - 1].place[:2] for n in end])
             wrong = np.column_stack([far, [frames[n].along - frames[n - 1].along for n in end]])
-            nodes = self.graph.nodes[:, 2]
-            rise -= wrong @ np.linalg.lstsq(wrong, rise - (nodes[end] - nodes[end - 1]), rcond=None)[0]
+            rise -= wrong @ np.linalg.lstsq(wrong, rise - (heights[end] - heights[end - 1]), rcond=None)[0]
             for edge, z in zip((end - 1 - run).tolist(), rise.tolist(), strict=True):
-                self.graph.measure(
+                graph.measure(
                     edge, [*way.relative[edge, :2], z, way.relative[edge, 3]], NEXT_SIGMA, loop=False
                 )
+        return graph
 
-    def _sweep(self, frame: Keyframe) -> Sweep:
+    def _sweep(self, frame: Keyframe) -> Sweep | None:
         if frame.scan not in self._sweeps:
             keep(self._sweeps, frame.scan, Sweep.of(self._recording, frame))
         self._sweeps.move_to_end(frame.scan)
         return self._sweeps[frame.scan]
 
-    def _by_odometry(self) -> Array:
+    def _by_odometry(self, nodes: Array) -> Array:
         out = np.empty((len(self.keyframes), 4))
         first = 0
         for k, frame in enumerate(self.keyframes):
             if frame.run != self.keyframes[first].run:
                 first = k
-            out[k] = after(self.graph.nodes[first], between(self.keyframes[first].place, frame.place))
+            out[k] = after(nodes[first], between(self.keyframes[first].place, frame.place))
         return out
 
-    def _take(self, second: int) -> None:
-        """Search one keyframe in the maps of those before it."""
+    def _take(self, second: int) -> Iterator[None]:
+        """Search one keyframe in the maps of those before it, one at a time."""
         found: list[Match] = []
         searched: list[int] = []
         for first, near, radius, turn in self._candidates(second):
@@ -227,6 +284,7 @@ class Closing:
                 self.refused.append(Refusal(first, second, "open ground: too little stands around"))
                 continue
             searched.append(first)
+            yield
             found += [Match(first, second, pose_of(c.place), c.certainty) for c in candidates]
         if not searched:
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -56,6 +56,13 @@ def fuse(
     share that is done."""
     made = ElevationMap(params)
     numbers = list(range(len(recording.scans)) if which is None else which)
+    for k, _ in enumerate(fusing(made, recording, poses, numbers)):
+        progress((k + 1) / len(numbers))
+    return made
+
+
+def fusing(made: ElevationMap, recording: Recording, poses: Array, numbers: Iterable[int]) -> Iterator[None]:
+    """Scans into a map, one at a time."""
     shift, last = 0, None
     for k, n in enumerate(numbers):
         scan, position = recording.scans[n], poses[n, :3, 3]
@@ -70,5 +77,4 @@ def fuse(
         if k % CLEAN_EVERY == 0:
             made.find_plants()
         made.fuse_ground(scan.contacts, position, orientation, stamp)
-        progress((k + 1) / len(numbers))
-    return made
+        yield

@@ -99,6 +99,14 @@ class PoseGraph:
         self._loops: list[tuple[int, int, Array, Array]] = []
         self._factors: SuperLU | None = None
 
+    def copy(self) -> PoseGraph:
+        """Another one that begins as this one is."""
+        other = PoseGraph()
+        other.nodes = self.nodes.copy()
+        other._priors, other._odometry = list(self._priors), list(self._odometry)
+        other._ways, other._loops = list(self._ways), list(self._loops)
+        return other
+
     def begin(self, pose: ArrayLike) -> int:
         """The first node of a run, at `pose` (4,); the very first one is held there. Returns its number."""
         sigma = HELD if len(self.nodes) == 0 else FREE

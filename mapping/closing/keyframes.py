@@ -44,13 +44,14 @@ class Keyframe:
     """(4,) of the ground under the robot in the `odom` of its run: x, y, z [m], yaw [rad]."""
 
 
-def keyframes_of(scans: list[Scan]) -> list[Keyframe]:
-    """Every `SPACING` along each run, and its first scan."""
-    out: list[Keyframe] = []
-    for n, scan in enumerate(scans):
+def keyframes_of(scans: list[Scan], newest: list[Keyframe]) -> list[Keyframe]:
+    """Every `SPACING` along each run, and its first scan; of the scans after the `newest` one that is known."""
+    out = list(newest)
+    for n in range(newest[-1].scan if newest else 0, len(scans)):
+        scan = scans[n]
         if not out or out[-1].run != scan.run or scan.along - out[-1].along >= SPACING:
             out.append(Keyframe(n, scan.run, scan.along, levelled(scan.pose, scan.below)))
-    return out
+    return out[len(newest) :]
 
 
 class Surroundings:
@@ -61,8 +62,6 @@ class Surroundings:
         self._params = params
         self._maps: OrderedDict[int, PriorMap | None] = OrderedDict()
         self._submaps: OrderedDict[int, Submap] = OrderedDict()
-        self._along = np.array([scan.along for scan in recording.scans])
-        self._run = np.array([scan.run for scan in recording.scans])
 
     def map(self, keyframe: Keyframe) -> PriorMap | None:
         """What was seen around a keyframe, in the frame of the ground under it, x ahead. None where no ground was
@@ -104,9 +103,11 @@ class Surroundings:
 
     def _near(self, keyframe: Keyframe, away: Array) -> list[int]:
         """Scans of the keyframe's run at so many metres from it, each once, in the order of `away`."""
-        own = np.flatnonzero(self._run == keyframe.run)
-        at = np.searchsorted(self._along[own], keyframe.along + away).clip(max=len(own) - 1)
-        far = np.abs(self._along[own[at]] - keyframe.along - away) < 2.0 * STRIDE
+        scans = self._recording.scans
+        own = np.array([n for n, scan in enumerate(scans) if scan.run == keyframe.run])
+        along = np.array([scans[n].along for n in own])
+        at = np.searchsorted(along, keyframe.along + away).clip(max=len(own) - 1)
+        far = np.abs(along[at] - keyframe.along - away) < 2.0 * STRIDE
         chosen = [int(n) for n in own[at[far]]]
         if away[-1] == 0.0:
             chosen[-1] = keyframe.scan  # the robot may have stood there: any of these scans is as far along

@@ -74,6 +74,7 @@ class Recording:
                 return False
             along = last.along + moved
         kept = []
+        self._file.seek(6 * self._end)
         for sensor, points in clouds:
             near = points[np.square(points).sum(axis=1) < REACH**2]  # without what is no number
             self._file.write(np.rint(near * MILLIMETRE).astype("<i2").tobytes())

@@ -43,13 +43,15 @@ class Sweep:
     tree: small_gicp.KdTree
 
     @classmethod
-    def of(cls, recording: Recording, keyframe: Keyframe) -> Sweep:
-        """The keyframe's own scan."""
+    def of(cls, recording: Recording, keyframe: Keyframe) -> Sweep | None:
+        """The keyframe's own scan; None where it holds next to nothing."""
         scan, thin = recording.scans[keyframe.scan], ThinCloud(FINE)
         pose = seen_from(keyframe.place, scan.pose)
         for _, points in recording.points(scan):
             far = np.hypot(points[:, 0], points[:, 1]) > NEAREST
             thin.add(points[far], pose[:3, :3], pose[:3, 3])
+        if len(thin.points) < NEIGHBOURS:
+            return None
         cloud = small_gicp.PointCloud(thin.points.astype(np.float64))
         tree = small_gicp.KdTree(cloud)
         small_gicp.estimate_normals_covariances(cloud, tree, NEIGHBOURS)
@@ -82,9 +84,11 @@ class Sweep:
         return pose, grip
 
 
-def exact(a: Sweep, b: Sweep, relative: Array) -> Array | None:
+def exact(a: Sweep | None, b: Sweep | None, relative: Array) -> Array | None:
     """(4,) b in the frame of a, near `relative` (4,), by both ways; None where they do not agree, or where the walls
     hold it in one direction only."""
+    if a is None or b is None:
+        return None
     there, grip = a.lay(b, relative)
     again, other = b.lay(a, back(there))
     again = back(again)

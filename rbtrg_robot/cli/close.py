@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,8 @@ from rbtrg_robot.orders.map import LoadMap, read
 from rbtrg_robot.orders.order import follow
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.wire.bus import Bus
-from rbtrg_robot.wire.frames import offset_of
-from rbtrg_robot.wire.messages import time_msg
+from rbtrg_robot.wire.convert import xyz, yaw_of
+from rbtrg_robot.wire.frames import closed_map
 
 FLUSH_LOOKS, LOOK_EVERY = 300, 0.1
 """Looks at the log until the recorder has written again, and the time between them [s]."""
@@ -87,10 +87,10 @@ def close(
 def closed(built: Built, prior: msg.MapPrior, then: msg.Odometry, higher: float) -> msg.MapPrior:
     """The map as the stack goes on with it. then: what odometry told of its newest scan; higher: how much higher [m]
     the stack's map lay then."""
-    x, y, z = built.pose[:3, 3].tolist()
-    offset = offset_of((x, y, math.atan2(built.pose[1, 0], built.pose[0, 0])), then)
-    lift = z - then.pose.pose.position.z - higher
-    return replace(prior, odom_in_map=np.array([*offset, lift]), until=time_msg(built.stamp))
+    here = then.pose.pose
+    said = np.array([*xyz(here.position), yaw_of(here.orientation)])
+    there = np.array([*built.pose[:3, 3], math.atan2(built.pose[1, 0], built.pose[0, 0])])
+    return closed_map(prior, there, said, higher, built.stamp)
 
 
 def _listen(bus: Bus, run: Path, pause: Callable[[float], None]) -> Heard:

@@ -89,9 +89,9 @@ class Lockstep:
         log: LogWriter | None = None,
         placed: tuple[float, float, float] | None = None,
     ) -> None:
-        """Stages named in `config.without` are left out. `placed`: x, y [m], yaw [rad] where the simulator puts the
+        """Stages named in `config.absent` are left out. `placed`: x, y [m], yaw [rad] where the simulator puts the
         robot; None: the configured start."""
-        names = [p.name for p in PROCESSES if p.hosted and p.name not in config.without]
+        names = [p.name for p in PROCESSES if p.hosted and p.name not in config.absent]
         self.robot = build(config if placed is None else config.model_copy(update={"origin": placed}))
         stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP_PERIOD / NS)}
         stages |= build_stages(config, names)

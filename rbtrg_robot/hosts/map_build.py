@@ -13,29 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from hal.limbs import stand_height
-from hal.rotation import rotation
 from hal.scenes.picture import GREEN, ORANGE, RED, WHITE, TopView
 from hal.types import Array
 from mapping.closing import Closed, Closing, Recording, corrected, fuse
-from mapping.closing.graph import PoseGraph, between
-from mapping.elevation.exchange import MapError
+from mapping.closing.graph import between
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.poses import Course
-from mapping.elevation.sensor import Sensor
-from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.areas import to_text
-from rbtrg_robot.config import ConfigError, StackConfig
+from rbtrg_robot.config import ConfigError
 from rbtrg_robot.hosts.offline import Window, config_of, feed, stages_for
 from rbtrg_robot.log.read import LogError, read_run
 from rbtrg_robot.log.summary import overview
-from rbtrg_robot.stages.scans import Scan, Scans
+from rbtrg_robot.stages.reader import Reader
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import LayoutError, cloud_points, joint_sample, xyz, xyzw
-from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
+from rbtrg_robot.wire.messages import MessageError, decode
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of it that is."""
@@ -56,65 +48,6 @@ class Built:
     """Of the newest scan [ns]."""
     pose: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4) of base_link in `map` then."""
-
-
-class _Reader:
-    """One run into a recording: poses, clouds and joints that belong together."""
-
-    def __init__(self, recording: Recording, run: int, config: StackConfig) -> None:
-        self.frame = MapFrame()
-        self.refused = 0
-        self.scans = 0
-        self._recording, self._run, self._robot = recording, run, config.facts
-        self._sensors = {lidar.name: Sensor.of(lidar) for lidar in config.mounted_lidars()}
-        self._names = {t.CLOUDS[name]: name for name in self._sensors}
-        self._waiting = Scans(self._sensors)
-        self._course = Course()
-        self.wanted: frozenset[Topic] = frozenset((t.ODOM, t.JOINTS, t.TF_STATIC, *self._names))
-
-    def take(self, topic: Topic, payload: bytes, _now: int, _stamp: int, _sequence: int) -> None:
-        """One message, as `feed` tells it; one that cannot be read is left out, as every stage does."""
-        if topic not in self.wanted:
-            return
-        try:
-            message: Any = decode(payload, topic.kind)
-            if topic is t.ODOM:
-                self._waiting.pose(message)
-            elif topic is t.JOINTS:
-                self._waiting.joints(joint_sample(message))
-            elif topic is t.TF_STATIC:
-                if not self.frame.known:
-                    self.frame.take(message)
-            else:
-                self._waiting.cloud(stamp_of(message), self._names[topic], cloud_points(message))
-        except (MessageError, LayoutError):
-            self.refused += 1
-            return
-        for scan in self._waiting.take():
-            self._record(scan)
-
-    def _record(self, scan: Scan) -> None:
-        pose = np.eye(4)
-        try:
-            q = xyzw(scan.odom.pose.pose.orientation)
-            pose[:3, 3] = xyz(scan.odom.pose.pose.position)
-            self._course.follow(pose[:3, 3], scan.stamp)
-            pose[:3, :3] = rotation(q / np.linalg.norm(q))
-        except MapError:
-            self.refused += 1
-            return
-        joints = scan.joints
-        limbs = self._robot.limbs
-        below = stand_height(limbs, self._robot.pose if joints is None else joints.position)
-        contacts = np.empty((0, 3)) if joints is None else wheel_contacts(limbs, joints)
-        clouds = [(self._sensors[name], points) for name, points in scan.clouds.items()]
-        self.scans += 1
-        self._recording.add(self._run, scan.stamp, pose, clouds, below, contacts)
-
-    @property
-    def origin(self) -> Array:
-        """(4,) of `odom` in `map`: x, y, z [m], yaw [rad]."""
-        return np.array([self.frame.x, self.frame.y, self.frame.z, self.frame.yaw])
 
 
 def build(
@@ -159,7 +92,7 @@ def build(
         made.save(out, to_text(areas))
         built.stamp, built.pose = recording.scans[which[-1]].stamp, poses[which[-1]]
         built.pose[2, 3] += made.alignment.height
-        built.record = _record(built, closed, closing.graph, recording, poses, made)
+        built.record = _record(built, closed, recording, poses, made)
         _beside(out, ".json", json.dumps(built.record, indent=1).encode())
         _picture(made, closed, out.with_suffix(".png"))
     except OSError as error:
@@ -182,9 +115,10 @@ def _read(
     built: Built,
     progress: Progress,
     say: Callable[[str], None],
-) -> _Reader:
+) -> Reader:
     config = config_of(log, file, sets, say)
-    reader = _Reader(recording, number, config)
+    reader = Reader(recording, number, config)
+    wanted = frozenset(reader.inputs)
     held = overview(log)
     name = f"run {number + 1}"
     before = len(recording.scans)
@@ -192,16 +126,23 @@ def _read(
     def done(seconds: float) -> None:
         progress(name, min(seconds / max(held.seconds, 1e-9), 1.0))
 
+    def take(topic: Topic, payload: bytes, _now: int, _stamp: int, _sequence: int) -> None:
+        if topic in wanted:
+            try:
+                reader.take(topic, decode(payload, topic.kind))
+            except MessageError:
+                reader.refused += 1
+
     clouds = held.topics.get(t.CLOUD.name)
     if clouds is not None and clouds.count:
         for entry in read_run(log):
             topic = t.BY_NAME.get(entry.topic)
-            if topic in reader.wanted and entry.type == topic.type:
-                reader.take(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+            if topic in wanted and entry.type == topic.type:
+                take(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
                 done((entry.log_time - held.begin) / 1e9)
     else:
         stages = stages_for(log, ["odometry"], config)
-        feed(log, stages, config, reader.take, Window(held.begin), done, say)
+        feed(log, stages, config, take, Window(held.begin), done, say)
     kept = recording.scans[before:]
     if not kept:
         raise LogError(
@@ -216,13 +157,11 @@ def _read(
 
 
 def _record(
-    built: Built, closed: Closed, graph: PoseGraph, recording: Recording, poses: Array, made: ElevationMap
+    built: Built, closed: Closed, recording: Recording, poses: Array, made: ElevationMap
 ) -> dict[str, Any]:
     """Everything that was found, in metres and degrees."""
     moved = between(closed.driven, closed.nodes)
     away = np.linalg.norm(moved[:, :3], axis=1)
-    odometry = graph.odometry.errors(graph.nodes)
-    stretch = np.abs(odometry).max() if len(odometry) else 0.0
     return {
         "runs": built.runs,
         "not_in_the_map": [built.runs[run]["log"] for run in closed.lost],
@@ -260,7 +199,7 @@ def _record(
         ],
         "moved_m": round(float(away.max()), 3),
         "moved_deg": round(float(np.degrees(np.abs(moved[:, 3])).max()), 3),
-        "odometry_sigmas": round(float(stretch), 2),
+        "odometry_sigmas": round(closed.stretch, 2),
         "known_cells": int(made.store.counts()[1]),
         "recording_mb": round(recording.nbytes / 1e6, 1),
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),

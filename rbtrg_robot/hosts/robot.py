@@ -44,7 +44,7 @@ def build(
     A restarted simulator goes on where the last one died: `restored` holds its newest truth. A real robot's samples are
     stamped by `clock`; a simulator's begin at `begin` [ns].
     """
-    watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
+    watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.absent)
     backend = _simulator(config, restored or {}, begin) if config.simulated else _hardware(config, clock)
     gate = SafetyGate(backend.capabilities, config.gate, config.fence(), guarded=GUARD in watched)
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched, robot=config.facts)
@@ -223,9 +223,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
 
 def _wait_for_all(bus: Bus, heart: Heart, config: StackConfig, stopping: Callable[[], bool]) -> None:
     """Simulated time starts when every process listens: nobody misses the first messages, so a re-run sees the same."""
-    missing = {p.name for p in PROCESSES if p.name not in ("robot", *config.without)}
-    if not config.record:
-        missing.discard("recorder")
+    missing = {p.name for p in PROCESSES if p.name not in ("robot", *config.absent)}
     bus.subscribe([t.HEARTBEAT])
     deadline = time.monotonic() + START_LIMIT
     while missing and not stopping() and time.monotonic() < deadline:

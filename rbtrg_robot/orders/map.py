@@ -22,7 +22,7 @@ from rbtrg_robot.areas import read_areas, to_text
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import MAP, LayoutError, cloud_msg, cloud_points, map_patch, patch_msg
+from rbtrg_robot.wire.convert import LayoutError, as_prior, cloud_points, map_patch
 from rbtrg_robot.wire.messages import header, stamp_of
 
 if TYPE_CHECKING:
@@ -142,12 +142,7 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
 
     elevation = ElevationMap(config)
     elevation.load_prior(file)
-    stamp = time.time_ns()
-    blocks = [patch_msg(replace(elevation.read(box), stamp=stamp)) for box in elevation.boxes()]
-    cloud = cloud_msg(stamp, MAP, elevation.cloud.points)
-    return msg.MapPrior(
-        header=header(stamp, MAP), id=fingerprint(str(file)), map=blocks, cloud=cloud, areas=read_areas(file)
-    )
+    return replace(as_prior(elevation, time.time_ns(), fingerprint(str(file))), areas=read_areas(file))
 
 
 def save(

@@ -6,6 +6,7 @@ import base64
 import faulthandler
 import importlib
 import logging
+import os
 import signal
 import threading
 from typing import Any
@@ -50,18 +51,15 @@ def run(spec: dict[str, Any]) -> int:
     from rbtrg_robot.wire.bus import Bus
     from rbtrg_robot.wire.clock import SourceClock
 
-    ours: dict[str, Any] = {
-        "clock": SourceClock(spec["clock"]),
-        "stack": spec["stack"],
-        "absent": spec["config"]["without"],
-    }
+    ours: dict[str, Any] = {"clock": SourceClock(spec["clock"]), "stack": spec["stack"]}
     restored = {TOPIC_BY_NAME[k]: base64.b64decode(v) for k, v in spec["restored"].items()}
     try:
         config = load(base=spec["config"])
         if name == REST:
             compile_rest(config)
             return 0
-        row = BY_NAME[name]
+        row, ours["absent"] = BY_NAME[name], config.absent
+        os.nice(row.nice)
         module, function = row.entry.split(":")
         part = importlib.import_module(module)
         entry = getattr(part, function)

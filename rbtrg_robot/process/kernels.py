@@ -40,7 +40,7 @@ def compile_rest(config: StackConfig) -> None:
     """What no first goal needs, while the robot drives already, in the time that the others leave."""
     os.nice(19)
     for row in PROCESSES:
-        if row.hosted and row.name not in config.without:
+        if row.hosted and row.name not in config.absent:
             module, function = row.entry.split(":")
             stage: Stage = getattr(importlib.import_module(module), function)(config)
             if isinstance(stage, WarmsLater):

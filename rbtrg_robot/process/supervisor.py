@@ -78,9 +78,7 @@ class Supervisor:
         self._config = config
         self._zygote = zygote
         self._say = say
-        rows = [p for p in PROCESSES if p.name not in config.without]
-        if not config.record:
-            rows = [p for p in rows if p.name != "recorder"]
+        rows = [p for p in PROCESSES if p.name not in config.absent]
         self._children = {row.name: Child(row) for row in rows}
         lidars = [lidar.name for lidar in config.lidars]
         self._expected = expected_topics(rows, simulated=config.simulated, lidars=lidars)
@@ -146,7 +144,7 @@ class Supervisor:
             ours: dict[str, Any] = {
                 "clock": self._clock,
                 "stack": self._stack,
-                "absent": self._config.without,
+                "absent": self._config.absent,
             }
             served = security(self._config)
             with open_bus(self._config, security=served, **ours) as bus:

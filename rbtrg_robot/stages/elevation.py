@@ -102,7 +102,8 @@ class ElevationStage:
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
             *(t.ODOM, *clouds, t.JOINTS, t.TF_STATIC),
-            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.ROUTE_STATUS, t.INITIAL_POSE, t.TOUCHED),
+            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_CLOSED, t.MAP_MIRROR),
+            *(t.ROUTE_STATUS, t.INITIAL_POSE, t.TOUCHED),
             t.AREAS_REQUEST,
         )
         self.map = elevation
@@ -182,7 +183,7 @@ class ElevationStage:
                 if self._odom is not None:
                     self._location.tell(message, self._odom)
                     self._status_due = 0
-            elif t.MAP_PRIOR.carried(message, topic):
+            elif t.MAP_PRIOR.carried(message, topic) or t.MAP_CLOSED.carried(message, topic):
                 return self._take_prior(message)
             elif t.TOUCHED.carried(message, topic):
                 x, y, z = xyz(message.pose.position).tolist()

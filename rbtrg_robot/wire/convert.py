@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from mapping.grid import FARTHEST
 from rbtrg_robot import msg
 from rbtrg_robot.wire.messages import header, stamp_of
+
+if TYPE_CHECKING:
+    from mapping.elevation.map import ElevationMap
 
 P = TypeVar("P")
 MAP = "map"
@@ -327,3 +331,10 @@ def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
         if name not in layers:
             raise LayoutError(f"layer {name} is missing")
     return MapPatch(origin, info.resolution, stamp_of(message), epoch, layers)
+
+
+def as_prior(elevation: ElevationMap, stamp: int, name: str) -> msg.MapPrior:
+    """A map as it is sent; stamp: of the message [ns], name: by which it is known."""
+    blocks = [patch_msg(replace(elevation.read(box), stamp=stamp)) for box in elevation.boxes()]
+    cloud = cloud_msg(stamp, MAP, elevation.cloud.points)
+    return msg.MapPrior(header=header(stamp, MAP), id=name, map=blocks, cloud=cloud)

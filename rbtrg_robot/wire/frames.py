@@ -7,13 +7,17 @@ the identity unless the configuration says where the robot starts.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.rotation import wrap
+from hal.types import Array
+from rbtrg_robot import msg
 from rbtrg_robot.msg import Odometry, TFMessage
 from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
+from rbtrg_robot.wire.messages import time_msg
 
 Planar = tuple[float, float, float]
 """x, y [m], yaw [rad]."""
@@ -97,11 +101,14 @@ def glide(offset: Planar, target: Planar, place: Planar, seconds: float) -> Plan
 def offset_of(place: Planar, odom: Odometry) -> Planar:
     """Offset of `odom` in `map` of a robot that stands at `place` in `map`."""
     here = odom.pose.pose
-    turn = wrap(place[2] - yaw_of(here.orientation))
+    return offset_between(place, (here.position.x, here.position.y, yaw_of(here.orientation)))
+
+
+def offset_between(place: Planar, here: Planar) -> Planar:
+    """The same of one that is `here` in `odom`."""
+    turn = wrap(place[2] - here[2])
     c, s = math.cos(turn), math.sin(turn)
-    x = place[0] - c * here.position.x + s * here.position.y
-    y = place[1] - s * here.position.x - c * here.position.y
-    return x, y, turn
+    return place[0] - c * here[0] + s * here[1], place[1] - s * here[0] - c * here[1], turn
 
 
 STANDING = (0.05, 0.1)
@@ -112,3 +119,12 @@ def stands(odom: Odometry) -> bool:
     """By a nav_msgs/Odometry."""
     twist = odom.twist.twist
     return math.hypot(twist.linear.x, twist.linear.y) < STANDING[0] and abs(twist.angular.z) < STANDING[1]
+
+
+def closed_map(prior: msg.MapPrior, there: Array, here: Array, higher: float, until: int) -> msg.MapPrior:
+    """A map of this run as the stack goes on with it. there, here (4,): x, y, z [m], yaw [rad] of base_link in it and
+    in `odom` at its newest scan, `until` [ns]; higher: how much higher [m] the stack's map lay then."""
+    x, y, z, yaw = there.tolist()
+    a, b, c, turn = here.tolist()
+    offset = offset_between((x, y, yaw), (a, b, turn))
+    return replace(prior, odom_in_map=np.array([*offset, z - c - higher]), until=time_msg(until))

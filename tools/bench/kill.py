@@ -55,7 +55,7 @@ GONE = 10.0
 
 def run(args: list[str]) -> Report:
     """Run this bench with the arguments of its command line; returns its rows."""
-    names = [*(row.name for row in PROCESSES), ZYGOTE, SUPERVISOR]
+    names = [*(row.name for row in PROCESSES if row.name not in load().absent), ZYGOTE, SUPERVISOR]
     parser = argparse.ArgumentParser(prog="python -m tools.bench kill", description=__doc__)
     parser.add_argument("--only", nargs="*", choices=names, default=names, metavar="PROCESS")
     parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed")

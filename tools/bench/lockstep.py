@@ -55,7 +55,7 @@ def run(args: list[str]) -> Report:
     report = Report("lockstep")
     with Lockstep(config) as stack:
         for process in PROCESSES:
-            if process.hosted:
+            if process.hosted and process.name not in config.absent:
                 warm(stack.host.stage(process.name))
         stack.wait_ready()
         spent_in = Spent(stack)

@@ -15,7 +15,7 @@ class Spent:
 
     def __init__(self, stack: Lockstep) -> None:
         self.seconds: dict[str, float] = {}
-        names = [p.name for p in PROCESSES if p.hosted and p.name not in stack.config.without]
+        names = [p.name for p in PROCESSES if p.hosted and p.name not in stack.config.absent]
         for name in names:
             self._count(stack.host.stage(name), ("on", "tick"), name)
         self._count(stack.robot, ("on", "tick"), "robot")

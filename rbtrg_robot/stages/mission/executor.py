@@ -350,8 +350,8 @@ def _returns(order: msg.MissionOrder) -> bool:
 
 def build(config: StackConfig) -> MissionStage:
     """From the stack's configuration."""
-    recorded = config.record and "recorder" not in config.without
-    sees = config.camera.mounted() is not None and "camera" not in config.without
+    recorded = "recorder" not in config.absent
+    sees = config.camera.mounted() is not None and "camera" not in config.absent
     possible = (
         EVERYWHERE | ({Kind.RECORD} if recorded else set()) | ({Kind.PHOTO} if recorded and sees else set())
     )

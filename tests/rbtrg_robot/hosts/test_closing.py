@@ -30,8 +30,9 @@ from rbtrg_robot.hosts.map_build import build
 from rbtrg_robot.orders.heard import Heard as Told
 from rbtrg_robot.orders.map import read
 from rbtrg_robot.stages.elevation import ElevationStage
+from rbtrg_robot.stages.loops import LoopStage
 from rbtrg_robot.stages.odometry import OdometryStage
-from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.stages.stage import Outputs, Stage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.frames import GLIDE, MapFrame, Planar, laid
@@ -164,7 +165,8 @@ def test_the_robot_glides_in_the_map_while_it_drives_and_its_goal_stays_where_it
 
 
 class Played:
-    """Odometry and elevation on a made-up drive: what LiDARs see is cast, the odometry is the truth and its drift."""
+    """Odometry, elevation and the search for loops on a made-up drive: what LiDARs see is cast, the odometry is the
+    truth and its drift."""
 
     def __init__(self, drive: Drive, config: StackConfig) -> None:
         self.drive, self.sweeps = drive, drive.sweeps()
@@ -175,6 +177,9 @@ class Played:
         played: Any = SimpleNamespace(poll=self._poll, counters={})
         self._odometry = OdometryStage(played, lidars, config.facts.imu, (x, y, yaw))
         self.elevation = ElevationStage(ElevationMap(config.elevation), config.elevation_stage, lidars)
+        self._stages: list[Stage] = [self._odometry, self.elevation]
+        if config.loops.online:
+            self._stages.append(LoopStage(config))
         self.now = 0
 
     def _poll(self) -> list[Any]:
@@ -204,10 +209,12 @@ class Played:
             ScanOdometry(**(fields | {"stamp": self.now, "clouds": self._clouds, "lidars": (), "fault": ""}))
         )
         self.hear(self._odometry.tick(self.now) + self._odometry.on(t.CLOCK, None))
-        self.hear(self.elevation.tick(self.now))
+        for stage in self._stages[1:]:
+            for tick in range(5):
+                self.hear(stage.tick(self.now + tick))
 
     def hear(self, outputs: Outputs) -> None:
-        """Hand what one stage says to the other."""
+        """Hand what one stage says to the others."""
         for topic, message in outputs:
             self.told.take(topic, message)
             if topic is t.TF_STATIC:
@@ -216,9 +223,17 @@ class Played:
                 self.offsets.append((self.now, frame.offset))
             if topic is t.MAP_STATUS:
                 self.status = message
-                self.hear(self._odometry.on(topic, message))
-            elif topic in self.elevation.inputs:
-                self.hear(self.elevation.on(topic, message))
+            for stage in self._stages:
+                if topic in stage.inputs:
+                    self.hear(stage.on(topic, message))
+
+    def glides(self, place: Planar) -> None:
+        """Asserts that neither `odom` nor a robot at `place` in it ever moves faster in `map`."""
+        for (since, old), (now, new) in pairwise(self.offsets[1:]):
+            far = GLIDE[0] * (now - since) / NS
+            assert math.dist(old[:2], new[:2]) <= far + 1e-6
+            assert abs(wrap(new[2] - old[2])) <= GLIDE[1] * (now - since) / NS + 1e-6
+            assert math.dist(laid(old, place)[:2], laid(new, place)[:2]) <= 1.01 * far + 1e-6
 
     def walls_off(self, scene: Scene) -> float:
         """Share of trusted cells that are more than 0.3 m off: walls where none are, or none where they are."""
@@ -253,13 +268,7 @@ def test_real_loops_close_while_the_robot_drives(tmp_path: Path) -> None:
         played.scan()
     start, *_, end = played.offsets
     place = planar_of(drive.odometry[-1])
-    for (since, old), (now, new) in pairwise(played.offsets[1:]):
-        assert math.dist(old[:2], new[:2]) <= GLIDE[0] * (now - since) / NS + 1e-6
-        assert abs(wrap(new[2] - old[2])) <= GLIDE[1] * (now - since) / NS + 1e-6
-        assert (
-            math.dist(laid(old, place)[:2], laid(new, place)[:2])
-            <= 1.01 * GLIDE[0] * (now - since) / NS + 1e-6
-        )
+    played.glides(place)
     assert math.dist(laid(start[1], place)[:2], laid(end[1], place)[:2]) > 0.03
     assert played.status.location == "closing"
     for _ in range(40):  # it stands
@@ -267,6 +276,29 @@ def test_real_loops_close_while_the_robot_drives(tmp_path: Path) -> None:
     assert (played.status.location, played.status.epoch) == ("located", epoch)
     here = laid(played.offsets[-1][1], place)
     assert math.dist(here[:2], truth[-1, :2, 3]) < 0.15
+    assert played.walls_off(scene) < 0.7 * before
+
+
+def test_loops_close_by_themselves_while_the_robot_drives() -> None:
+    """Nobody gives a command: of a drive that drifts by half a metre, the map follows its loops."""
+    scene, corners = ring((5.0, 3.5))
+    truth = way_through(scene, [*corners, corners[2]], step=0.5)
+    drive = Drive(scene, truth, drifted(truth, Drift(bend=math.radians(0.02), climb=0.004), 3))
+    settings = ["elevation.resolution=0.08", "loops.online=true", "loops.drift=6"]
+    played = Played(drive, load(None, settings, scene="flat"))
+    told = set()
+    for _ in truth:
+        played.scan()
+        told.add(played.status.location)
+    assert told == {"", "closing"}, "it drives while it closes"
+    played.glides(planar_of(drive.odometry[-1]))
+    before, epoch = played.walls_off(scene), played.status.epoch
+    far = math.dist(laid(played.offsets[0][1], planar_of(drive.odometry[-1]))[:2], truth[-1, :2, 3])
+    assert far > 0.3
+    for _ in range(40):  # it stands
+        played.scan(moves=False)
+    assert (played.status.location, played.status.epoch) == ("located", epoch)
+    assert math.dist(laid(played.offsets[-1][1], planar_of(drive.odometry[-1]))[:2], truth[-1, :2, 3]) < 0.15
     assert played.walls_off(scene) < 0.7 * before
 
 

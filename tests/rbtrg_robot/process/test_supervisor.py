@@ -66,7 +66,8 @@ def supervised(
     """A supervisor of one process alone, what starts it, and what the supervisor says."""
     zygote, said = Scripted(script), list[str]()
     others = tuple(p.name for p in PROCESSES if p.name != process)
-    config = load(without=others, record=process == "recorder", log_dir=str(folder))
+    on = {"record": process == "recorder", "loops": {"online": process == "loops"}}
+    config = load(without=others, log_dir=str(folder), **on)
     made: Any = Supervisor(config, zygote, said.append)  # type: ignore[arg-type]
     made._bus = Refusals()  # a bus on which nothing comes
     return made, zygote, said
@@ -137,7 +138,7 @@ def test_a_supervisor_that_was_stopped_itself_ends_nobody_for_the_silence(
 
 HANG = {
     "robot": 3.0, "odometry": 3.0, "elevation": 15.0, "planner": 30.0, "navigator": 3.0,
-    "mission": 3.0, "tracker": 3.0, "guard": 3.0, "recorder": 3.0, "camera": 60.0, "console": 5.0,
+    "mission": 3.0, "tracker": 3.0, "guard": 3.0, "recorder": 3.0, "camera": 60.0, "console": 5.0, "loops": 60.0,
 }  # fmt: skip
 """How long each process may be silent [s]."""
 
@@ -213,7 +214,8 @@ def test_where_kernels_are_compiled_the_planner_has_a_core_to_itself(
     supervisor._compiling = SimpleNamespace(cold=True)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     supervisor._mend()
-    assert {p.name for p in PROCESSES} - set(started) == {"odometry", "guard", "robot"}
+    wanted = {p.name for p in PROCESSES} - set(load().absent)
+    assert wanted - set(started) == {"odometry", "guard", "robot"}
     assert {row["state"] for row in supervisor.status()["processes"]} == {"starting"}
     for compiled, then in (("elevation", "odometry"), ("odometry", "guard"), ("guard", "robot")):
         supervisor._mend()
@@ -221,12 +223,12 @@ def test_where_kernels_are_compiled_the_planner_has_a_core_to_itself(
         supervisor._health.take(t.HEARTBEAT, ready(compiled))
         supervisor._mend()
         assert started[-1] == then
-    assert sorted(started) == sorted(p.name for p in PROCESSES)
+    assert sorted(started) == sorted(wanted)
     kept: Any = Supervisor(load(log_dir=str(tmp_path)), zygote, print)
     kept._compiling = SimpleNamespace(cold=False)
     started.clear()
     kept._mend()
-    assert len(started) == len(PROCESSES), "all at once"
+    assert len(started) == len(wanted), "all at once"
 
 
 def test_the_console_is_told_when_it_serves_whoever_else_compiles(

@@ -106,6 +106,10 @@ class TestGo2(TestUnitree):
     def world(self) -> DdsWorld:
         return DdsWorld(GO2, robot=describe("go2"), controller="trot")
 
+    @pytest.mark.campaign
+    def test_a_transition_that_does_not_come_to_its_end_is_a_fault_in_time(self, rig: Rig) -> None:
+        super().test_a_transition_that_does_not_come_to_its_end_is_a_fault_in_time(rig)
+
 
 @pytest.mark.skipif(
     not os.environ.get("UNITREE_CONTRACT_LIVE"), reason="takes two minutes: set UNITREE_CONTRACT_LIVE=1"

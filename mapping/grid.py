@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FARTHEST = 100_000.0
+FARTHEST_PLACE = 100_000.0
 """[m] from the origin of `map`: single precision resolves 8 mm there, and half a metre at the 5000 km of UTM."""
 
 
@@ -62,10 +62,10 @@ class ElevationGrid:
         origin = (float(self.origin[0]), float(self.origin[1]))
         if not np.isfinite(origin).all():
             raise GridError(f"origin must be finite, got {origin}")
-        if max(map(abs, origin)) > FARTHEST:
+        if max(map(abs, origin)) > FARTHEST_PLACE:
             raise GridError(
-                f"origin {origin} is more than {FARTHEST / 1000:.0f} km away, where heights of single precision blur: "
-                "subtract the coordinates of a place nearby (UTM does not fit)"
+                f"origin {origin} is more than {FARTHEST_PLACE / 1000:.0f} km away, where heights of single precision "
+                "blur: subtract the coordinates of a place nearby (UTM does not fit)"
             )
         if not (np.isfinite(self.resolution) and self.resolution > 0.0):
             raise GridError(f"resolution must be a positive number of metres, got {self.resolution}")

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from hal.kernels import for_reading
 
-VOXEL = 0.25
+VOXEL_SIDE = 0.25
 """Edge of a voxel [m]."""
-REACH = 25.0
+POINT_REACH = 25.0
 """Points farther from the robot than this [m] scatter too much."""
-LIMIT = 400_000
+MOST_VOXELS = 400_000
 """Voxels at most: 10 MB of memory, 4.8 MB in a file, 25,000 m^2 of surface. What comes later is left out."""
-HALF = 1 << 20
+HALF_RANGE = 1 << 20
 """Voxels from the origin that a key can name along an axis: 262 km."""
 FREE = -1
 """Of a place in the table of keys: nothing there."""
@@ -23,7 +23,7 @@ FREE = -1
 class ThinCloud:
     """Points in, one mean a voxel out. Same calls, same bytes."""
 
-    def __init__(self, voxel: float = VOXEL, limit: int = LIMIT) -> None:
+    def __init__(self, voxel: float = VOXEL_SIDE, limit: int = MOST_VOXELS) -> None:
         self.voxel = voxel
         self._limit = limit
         self.clear()
@@ -51,8 +51,8 @@ class ThinCloud:
         self, points: NDArray[np.float32], rotation: NDArray[np.float64], place: NDArray[np.float64]
     ) -> None:
         """Add points (n, 3) of a scan in base_link, at the pose `rotation` (3, 3), `place` (3,) [m]. Points that are
-        not finite or farther than `REACH` are left out."""
-        self._take(points, rotation, place, REACH)
+        not finite or farther than `POINT_REACH` are left out."""
+        self._take(points, rotation, place, POINT_REACH)
 
     def enter(self, points: NDArray[np.float32]) -> None:
         """Points (n, 3) of another cloud [m]."""
@@ -92,9 +92,9 @@ class ThinCloud:
 @njit(cache=True)
 def voxel_key(x, y, z, voxel):  # pragma: no cover - compiled
     """Name of the voxel that holds a point [m]."""
-    i = np.int64(np.floor(x / voxel)) + HALF
-    j = np.int64(np.floor(y / voxel)) + HALF
-    k = np.int64(np.floor(z / voxel)) + HALF
+    i = np.int64(np.floor(x / voxel)) + HALF_RANGE
+    j = np.int64(np.floor(y / voxel)) + HALF_RANGE
+    k = np.int64(np.floor(z / voxel)) + HALF_RANGE
     return (i << 42) | (j << 21) | k
 
 

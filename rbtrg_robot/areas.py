@@ -12,7 +12,7 @@ import numpy as np
 from hal.safety.geofence import Fence, Geofence, GeofenceError
 from mapping.elevation.exchange import MapError
 from mapping.elevation.files import areas_in
-from mapping.grid import FARTHEST
+from mapping.grid import FARTHEST_PLACE
 from rbtrg_robot import msg
 
 MOST = 50
@@ -27,8 +27,8 @@ def fence_of(areas: Sequence[msg.GroundArea]) -> Fence:
         raise GeofenceError(f"at most {MOST} areas of {CORNERS} corners each")
     polygons = []
     for area in areas:
-        if len(area.corners) % 2 or not (np.abs(area.corners) < FARTHEST).all():
-            raise GeofenceError(f"`map` reaches {FARTHEST / 1000:.0f} km, and a corner is x and y")
+        if len(area.corners) % 2 or not (np.abs(area.corners) < FARTHEST_PLACE).all():
+            raise GeofenceError(f"`map` reaches {FARTHEST_PLACE / 1000:.0f} km, and a corner is x and y")
         corners = np.reshape(area.corners, (-1, 2)).tolist()
         polygons.append(Geofence.of(corners, keep_out=bool(area.keep_out), name=area.name))
     return Fence(tuple(polygons))

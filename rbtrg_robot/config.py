@@ -30,7 +30,7 @@ from hal.types import Capabilities, MountedLidar
 from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.holes import Crossing
-from mapping.grid import FARTHEST
+from mapping.grid import FARTHEST_PLACE
 from mapping.odometry.own import OwnPart, too_far
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
@@ -70,8 +70,8 @@ def _checked(area: list[tuple[float, float]]) -> None:
         Geofence.of(area)
     except GeofenceError as error:
         raise ValueError(str(error)) from error
-    if not max(abs(v) for corner in area for v in corner) < FARTHEST:
-        raise ValueError(f"`map` reaches {FARTHEST / 1000:.0f} km")
+    if not max(abs(v) for corner in area for v in corner) < FARTHEST_PLACE:
+        raise ValueError(f"`map` reaches {FARTHEST_PLACE / 1000:.0f} km")
 
 
 class NetworkConfig(BaseModel):
@@ -214,9 +214,9 @@ class StackConfig(BaseModel):
     @field_validator("origin")
     @classmethod
     def _near_enough(cls, origin: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
-        if origin is not None and not max(map(abs, origin)) < 0.5 * FARTHEST:
+        if origin is not None and not max(map(abs, origin)) < 0.5 * FARTHEST_PLACE:
             raise ValueError(
-                f"`map` reaches {FARTHEST / 1000:.0f} km: subtract the coordinates of a place nearby"
+                f"`map` reaches {FARTHEST_PLACE / 1000:.0f} km: subtract the coordinates of a place nearby"
             )
         return origin
 

@@ -28,10 +28,10 @@ from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import BASE, MAP, ODOM, cloud_msg, odometry_msg, rpy_quaternion, transform_msg
 from rbtrg_robot.wire.messages import encode
-from tools.bench.perception.relocalise import WHEELS, Eyes
+from tools.bench.perception.relocalise import WHEEL_PLACES, Eyes
 
 HEIGHT = stand_height(STAND)
-SPEED = 1.0
+DRIVE_SPEED = 1.0
 """[m/s]"""
 Way = Sequence[tuple[float, float]]
 
@@ -80,9 +80,9 @@ def way_through(scene: Scene, corners: Way, step: float = 0.25, turning: float =
 
 def _stance(scene: Scene, x: float, y: float, yaw: float) -> Array:
     c, s = math.cos(yaw), math.sin(yaw)
-    at = WHEELS @ np.array([[c, s], [-s, c]]) + (x, y)
+    at = WHEEL_PLACES @ np.array([[c, s], [-s, c]]) + (x, y)
     z = np.array([scene.z(*w) for w in at])
-    plane, *_ = np.linalg.lstsq(np.column_stack([WHEELS, np.ones(4)]), z, rcond=None)
+    plane, *_ = np.linalg.lstsq(np.column_stack([WHEEL_PLACES, np.ones(4)]), z, rcond=None)
     pose = np.eye(4)
     pose[:3, :3] = rotation_rpy(math.atan(plane[1]), -math.atan(plane[0]), yaw)
     pose[:3, 3] = (x, y, plane[2]) + HEIGHT * pose[:3, 2]
@@ -132,7 +132,9 @@ class Drive:
         stamp = 10 * NS
         for k, (there, said) in enumerate(zip(self.truth, self.odometry, strict=True)):
             if k:
-                stamp += max(NS // 10, round(math.dist(there[:3, 3], self.truth[k - 1, :3, 3]) / SPEED * NS))
+                stamp += max(
+                    NS // 10, round(math.dist(there[:3, 3], self.truth[k - 1, :3, 3]) / DRIVE_SPEED * NS)
+                )
             yield stamp, said, self.eyes.look(there, ())
 
 

@@ -33,9 +33,9 @@ from tools.synthetic import SyntheticRun
 from tools.synthetic_motion import Motion
 from tools.synthetic_scenes import FEATURES, corridor, feature_scene
 
-BINS = np.array([0.4, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
+BIN_EDGES = np.array([0.4, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
 """Distance ahead of base_link [m]."""
-STEP = 0.04
+SAMPLE_SPACING = 0.04
 CLEAN_EVERY = ElevationStageConfig().clean_every
 LEVEL = Motion(kind="straight", pitch=radians(1.0), roll=radians(1.0), bob=0.003)
 SHAKEN = Motion(kind="straight")
@@ -105,8 +105,10 @@ def study(run: SyntheticRun, engine: str = "kiss_icp") -> Score:
     """Drive `run` and score the strip ahead."""
     stack = Stack(run, engine)
     uneven = replace(run.scene, height=relief(run.scene.height, 2), survey=None)
-    ahead, side = np.meshgrid(np.arange(BINS[0], BINS[-1], STEP), np.arange(-0.4, 0.41, STEP))
-    count, trusted, squares, flat = (np.zeros(len(BINS) - 1) for _ in range(4))
+    ahead, side = np.meshgrid(
+        np.arange(BIN_EDGES[0], BIN_EDGES[-1], SAMPLE_SPACING), np.arange(-0.4, 0.41, SAMPLE_SPACING)
+    )
+    count, trusted, squares, flat = (np.zeros(len(BIN_EDGES) - 1) for _ in range(4))
     track: list[tuple[int, Array]] = []
     seen = 0
     for sample in run.samples():
@@ -128,7 +130,7 @@ def study(run: SyntheticRun, engine: str = "kiss_icp") -> Score:
                 patch.layers["elevation"][row, col] - r.position[2] - (heights(run.scene, x, y) - position[2])
             )
             even = known & (heights(uneven, x, y) < 0.01)
-            bins = np.digitize(ahead, BINS) - 1
+            bins = np.digitize(ahead, BIN_EDGES) - 1
             for k in range(len(count)):
                 here = bins == k
                 count[k] += here.sum()
@@ -229,7 +231,7 @@ def draw(scores: dict[str, dict[str, Score]], path: str) -> None:
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6))
-    middle = 0.5 * (BINS[1:] + BINS[:-1])
+    middle = 0.5 * (BIN_EDGES[1:] + BIN_EDGES[:-1])
     for k, (name, by_gait) in enumerate(scores.items()):
         for gait, s in by_gait.items():
             style = {"color": f"C{k}", "ls": "-" if gait == "level" else "--", "marker": "o", "ms": 3}

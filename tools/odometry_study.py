@@ -29,7 +29,7 @@ from rbtrg_robot.wire.messages import decode, stamp_of
 from tools.bench.perception.odometry import drive, errors
 
 ENGINES = ("kiss_icp", "small_gicp")
-PATIENCE = 40.0
+GOAL_TIMEOUT = 40.0
 """For one goal [s]."""
 
 
@@ -90,7 +90,7 @@ def record(config: StackConfig, goals: list[tuple[float, float]]) -> RecordedDri
         c, s = math.cos(yaw), math.sin(yaw)
         for ahead, left in goals:
             stack.send_goal(x + c * ahead - s * left, y + s * ahead + c * left)
-            status = stack.finish_goal(PATIENCE)
+            status = stack.finish_goal(GOAL_TIMEOUT)
             print(f"goal {ahead:g}, {left:g}: {status.state} {status.reason}")
     stamps, position, orientation = (np.array(values) for values in zip(*truth, strict=True))
     flips = np.cumprod(np.where(np.einsum("ij,ij->i", orientation[1:], orientation[:-1]) < 0.0, -1.0, 1.0))

@@ -36,9 +36,9 @@ from mapping.elevation.sensor import Sensor
 from tools.synthetic_motion import Motion, legs, quaternions
 from tools.synthetic_scenes import FEATURES, OBSTACLE, arena, corridor, feature_scene
 
-TICK = NS // 200
+TICK_PERIOD = NS // 200
 """IMU period and step of the LiDAR [ns]."""
-CHUNK = 200
+CHUNK_TICKS = 200
 """Ticks worked out at once."""
 
 
@@ -121,10 +121,10 @@ class SyntheticRun:
         """
         lidar = self._lidar()
         proprioception = _Proprioception(self.motion, self.noise, self.seed)
-        ticks = round(self.duration * NS / TICK)
-        for first in range(0, ticks + 1, CHUNK):
-            tick = np.arange(first, min(first + CHUNK, ticks + 1))
-            stamps = self.start_stamp + tick * TICK
+        ticks = round(self.duration * NS / TICK_PERIOD)
+        for first in range(0, ticks + 1, CHUNK_TICKS):
+            tick = np.arange(first, min(first + CHUNK_TICKS, ticks + 1))
+            stamps = self.start_stamp + tick * TICK_PERIOD
             t = self.seconds(stamps)
             position, rotation = self.motion.pose(t)
             orientation = quaternions(rotation)

@@ -29,9 +29,9 @@ from hal.types import GRAVITY, Array
 
 Kind = Literal["figure_eight", "straight", "standstill"]
 
-EIGHT = (3.2, 1.5)
+EIGHT_EXTENTS = (3.2, 1.5)
 """Half extents of the figure-eight along x and y [m]."""
-RAMP = 1.0
+RAMP_TIME = 1.0
 """Seconds to get from rest to full motion and back."""
 
 
@@ -62,7 +62,7 @@ class Motion:
 
     def _share(self, t: Array) -> Array:
         """0 at rest, 1 in motion, C2."""
-        return _step((t - self.rest) / RAMP) - _step((t - self.stop) / RAMP)
+        return _step((t - self.rest) / RAMP_TIME) - _step((t - self.stop) / RAMP_TIME)
 
     def travelled(self, t: Array) -> Array:
         """Distance [m] a point at mean speed has gone by t (n,) [s]."""
@@ -70,8 +70,8 @@ class Motion:
             return np.zeros_like(t)
         return (
             self.speed
-            * RAMP
-            * (_step_integral((t - self.rest) / RAMP) - _step_integral((t - self.stop) / RAMP))
+            * RAMP_TIME
+            * (_step_integral((t - self.rest) / RAMP_TIME) - _step_integral((t - self.stop) / RAMP_TIME))
         )
 
     def planar(self, t: Array) -> tuple[Array, Array, Array]:
@@ -80,7 +80,7 @@ class Motion:
         if self.kind != "figure_eight":
             x, y, yaw = self.start
             return x + s * np.cos(yaw), y + s * np.sin(yaw), np.full_like(t, yaw)
-        a, b = EIGHT
+        a, b = EIGHT_EXTENTS
         phase = 2.0 * pi * s / eight_length()
         heading = np.arctan2(2.0 * b * np.cos(2.0 * phase), a * np.cos(phase))
         return a * np.sin(phase), b * np.sin(2.0 * phase), heading
@@ -134,7 +134,7 @@ def _step_integral(u: Array) -> Array:
 
 def eight_length() -> float:
     """Length of one round of the figure-eight [m]."""
-    a, b = EIGHT
+    a, b = EIGHT_EXTENTS
     phase = np.linspace(0.0, 2.0 * pi, 2000, endpoint=False)
     return float(np.hypot(a * np.cos(phase), 2.0 * b * np.cos(2.0 * phase)).mean() * 2.0 * pi)
 

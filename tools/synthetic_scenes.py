@@ -77,12 +77,12 @@ class Feature:
     """x [m] of the side the robot comes from."""
 
 
-FACE = 2.0
+FACE_X = 2.0
 FEATURES: dict[str, Feature] = {
-    "pole": Feature((FACE, FACE + 0.05, -0.025, 0.025), 1.2, FACE),
-    "step": Feature((FACE, FACE + 2.0, -1.5, 1.5), 0.10, FACE),
-    "kerb": Feature((FACE, FACE + 0.10, -1.5, 1.5), 0.10, FACE),
-    "pit": Feature((FACE, FACE + 0.60, -0.50, 0.50), -0.30, FACE),
+    "pole": Feature((FACE_X, FACE_X + 0.05, -0.025, 0.025), 1.2, FACE_X),
+    "step": Feature((FACE_X, FACE_X + 2.0, -1.5, 1.5), 0.10, FACE_X),
+    "kerb": Feature((FACE_X, FACE_X + 0.10, -1.5, 1.5), 0.10, FACE_X),
+    "pit": Feature((FACE_X, FACE_X + 0.60, -0.50, 0.50), -0.30, FACE_X),
 }
 """All stand at x = 2 m, across the way of a robot that comes along the x axis."""
 

@@ -14,20 +14,20 @@ from hal.rotation import wrap
 from hal.types import Array
 from mapping.closing.fuse import corrected, fuse
 from mapping.closing.graph import PoseGraph, after, back, between
-from mapping.closing.keyframes import AROUND, Keyframe, Surroundings, keep, keyframes_of
+from mapping.closing.keyframes import MAP_REACH, Keyframe, Surroundings, keep, keyframes_of
 from mapping.closing.recording import Recording
 from mapping.closing.refine import Sweep, apart, exact
-from mapping.closing.verify import BOTH, LEAD, Match, Refusal, Verifier, pose_of, rivals
+from mapping.closing.verify import DIRECTION_GAP, LEAST_LEAD, Match, Refusal, Verifier, pose_of, rivals
 from mapping.elevation.config import ElevationConfig
-from mapping.relocalise import ENOUGH, PriorMap, locate
+from mapping.relocalise import ENOUGH_CERTAINTY, PriorMap, locate
 
-DRIFT = np.array([0.02, 0.02, 0.03, math.radians(0.05)])
+RANDOM_DRIFT = np.array([0.02, 0.02, 0.03, math.radians(0.05)])
 """Of odometry by the root of a metre: x, y, z [m], yaw [rad]. In 70 m of new corridor it was 0.01, 0.13, 0.014 m and
 0.16 deg off, which is a third of that; wheels that slip and impacts of simulated physics made 0.02 m in 6 m of it."""
-STEADY = np.array([1e-6, 1e-6, 0.0005, math.radians(0.0035)])
-"""What odometry is wrong by all along a run, by the metre, as `DRIFT`: twice the climb and half as much again as the
-bend of those 70 m. Of lengths no loop tells: one of another size closes as well. Where loops may be is searched by
-`DRIFT` alone."""
+STEADY_DRIFT = np.array([1e-6, 1e-6, 0.0005, math.radians(0.0035)])
+"""What odometry is wrong by all along a run, by the metre, as `RANDOM_DRIFT`: twice the climb and half as much again
+as the bend of those 70 m. Of lengths no loop tells: one of another size closes as well. Where loops may be is searched
+by `RANDOM_DRIFT` alone."""
 LOOP_SIGMA = np.array([0.04, 0.04, 0.04, math.radians(0.3)])
 """Of a registration: x, y, z [m], yaw [rad]. Its own error is 0.006 m and 0.05 deg; the map of a keyframe is bent by
 the drift within it."""
@@ -35,28 +35,28 @@ NEXT_SIGMA = np.array([0.003, 0.003, 0.003, math.radians(0.01)])
 """Of the way to the next keyframe, measured by two sweeps: x, y, z [m], yaw [rad]."""
 EXACT_SIGMA = np.array([0.01, 0.01, 0.02, math.radians(0.03)])
 """Of a loop that was measured so."""
-LEVELS = 30
+LEAST_RISES = 30
 """Measured ways of a run from which its level is told."""
-NEW = 30.0
+LOOP_LENGTH = 30.0
 """Driven between two keyframes of a loop, at least [m]."""
-OVERLAP = 5.0
+OVERLAP_RADIUS = 5.0
 """Keyframes within this of each other see much the same [m]."""
-SIGMAS = 3.0
+SEARCH_SIGMAS = 3.0
 """Of the odometry: so far off is searched."""
-SLACK = (0.5, math.radians(3.0))
+SEARCH_SLACK = (0.5, math.radians(3.0))
 """What is searched beyond that [m], [rad]."""
-WIDEST = 15.0
+WIDEST_SEARCH = 15.0
 """Searched around a keyframe at most [m]: its map ends there."""
-MOST = 8
+MOST_MAPS = 8
 """Maps in which one keyframe is searched, the nearest ones."""
-GATE = 18.5
+ODOMETRY_GATE = 18.5
 """Square of the distance from what odometry says, by its covariance: one right loop of a thousand is further (chi
 square, 4)."""
-TOGETHER = 40.0
+SUPPORT_LENGTH = 40.0
 """Two loops speak for each other where odometry between them is no longer than this [m]."""
 LOST_SAY = 0.2
 """A loop that keeps less of its weight than this contradicts the others: by six standard deviations."""
-TOUR = 0.5
+TOUR_SPACING = 0.5
 """Scans so far apart [m] make the map in which a further run is searched."""
 
 
@@ -95,9 +95,9 @@ class Closing:
         self, recording: Recording, params: ElevationConfig, origin: Array, drift: float = 1.0
     ) -> None:
         """origin (4,): x, y, z [m], yaw [rad] of the first run's `odom` in `map`. drift: how many times more than
-        `DRIFT` and `STEADY` the odometry drifts."""
+        `RANDOM_DRIFT` and `STEADY_DRIFT` the odometry drifts."""
         self._recording, self._params = recording, params
-        self._drift, self._steady = drift * DRIFT, drift * STEADY
+        self._drift, self._steady = drift * RANDOM_DRIFT, drift * STEADY_DRIFT
         self._origin = origin
         self.keyframes: list[Keyframe] = []
         self._around = Surroundings(recording, params)
@@ -164,7 +164,7 @@ class Closing:
             self._extend()
             if (
                 number == len(self.keyframes)
-                or self._recording.scans[-1].along < self.keyframes[number].along + AROUND
+                or self._recording.scans[-1].along < self.keyframes[number].along + MAP_REACH
             ):
                 yield None
                 continue
@@ -215,14 +215,14 @@ class Closing:
             way = self.graph.odometry
             said, sigma = way.relative[edge], way.sigma[edge]
             found, did = exact(self._sweep(before), self._sweep(frame), said), True
-            near = found is not None and (apart(found, said) < SIGMAS * sigma).all()
+            near = found is not None and (apart(found, said) < SEARCH_SIGMAS * sigma).all()
             self._ways[number] = found if near else None
         for match in self.matches:
             loop = match.first, match.second
             if match.second == number and loop not in self._exact:
                 first = self.keyframes[match.first]
                 found, did = exact(self._sweep(first), self._sweep(frame), match.relative), True
-                near = found is not None and (apart(found, match.relative) < BOTH).all()
+                near = found is not None and (apart(found, match.relative) < DIRECTION_GAP).all()
                 self._exact[loop] = found if near else None
         return did
 
@@ -244,7 +244,7 @@ class Closing:
         way, heights = graph.odometry, graph.nodes[:, 2]
         for run in {frame.run for frame in frames}:
             end = np.array([n for n in sorted(ways) if frames[n].run == run], np.int64)
-            if len(end) < LEVELS:
+            if len(end) < LEAST_RISES:
                 continue
             rise = np.array([ways[n][2] for n in end.tolist()])
             far = np.array([frames[n].place[:2] - frames[n - 1].place[:2] for n in end])
@@ -288,14 +288,14 @@ class Closing:
             found += [Match(first, second, pose_of(c.place), c.certainty) for c in candidates]
         if not searched:
             return
-        if not found or max(match.certainty for match in found) < ENOUGH:
+        if not found or max(match.certainty for match in found) < ENOUGH_CERTAINTY:
             most = max((match.certainty for match in found), default=0.0)
             if any(self.keyframes[first].run != self.keyframes[second].run for first in searched):
                 self._absent.add(second)
             self.refused.append(Refusal(searched[0], second, f"not there: {most:.0%} certain at best", most))
             return
         best, rival = rivals(self.graph.nodes, found)
-        if rival is not None and best.certainty - rival.certainty < LEAD:
+        if rival is not None and best.certainty - rival.certainty < LEAST_LEAD:
             apart = between(
                 after(self.graph.nodes[rival.first], rival.relative),
                 after(self.graph.nodes[best.first], best.relative),
@@ -304,7 +304,7 @@ class Closing:
                 best,
                 f"looks alike: a place {np.linalg.norm(apart[:3]):.1f} m away is {rival.certainty:.0%} certain",
             )
-        elif (off := self._from_odometry(best)) > GATE:
+        elif (off := self._from_odometry(best)) > ODOMETRY_GATE:
             self._refuse(best, f"too far from the odometry: {math.sqrt(off):.1f} standard deviations")
         elif why := self._verifier.check(best):
             self._refuse(best, why)
@@ -324,16 +324,25 @@ class Closing:
         far = np.linalg.norm(self.graph.nodes[:, :2] - self.graph.nodes[second, :2], axis=1)
         for first in np.argsort(far[:second], kind="stable"):
             other = self.keyframes[first]
-            if far[first] > OVERLAP + WIDEST:
+            if far[first] > OVERLAP_RADIUS + WIDEST_SEARCH:
                 break
-            if other.run not in self._found or (other.run == frame.run and frame.along - other.along < NEW):
+            if other.run not in self._found or (
+                other.run == frame.run and frame.along - other.along < LOOP_LENGTH
+            ):
                 continue
             near, covariance = self.graph.apart(int(first), second)
-            radius = SIGMAS * math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-            height, turn = (SIGMAS * math.sqrt(max(covariance[k, k], 0.0)) for k in (2, 3))
-            if far[first] < OVERLAP + radius and abs(near[2]) < 1.0 + height:
-                out.append((int(first), near, min(radius + SLACK[0], WIDEST), min(turn + SLACK[1], math.pi)))
-            if len(out) == MOST:
+            radius = SEARCH_SIGMAS * math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+            height, turn = (SEARCH_SIGMAS * math.sqrt(max(covariance[k, k], 0.0)) for k in (2, 3))
+            if far[first] < OVERLAP_RADIUS + radius and abs(near[2]) < 1.0 + height:
+                out.append(
+                    (
+                        int(first),
+                        near,
+                        min(radius + SEARCH_SLACK[0], WIDEST_SEARCH),
+                        min(turn + SEARCH_SLACK[1], math.pi),
+                    )
+                )
+            if len(out) == MOST_MAPS:
                 break
         return out
 
@@ -354,10 +363,10 @@ class Closing:
         place = pose_of(verdict.candidates[0].place)
         known = [k for k, frame in enumerate(self.keyframes) if frame.run in self._found]
         first = min(known, key=lambda k: float(np.linalg.norm(self.graph.nodes[k, :3] - place[:3])))
-        if np.linalg.norm(self.graph.nodes[first, :3] - place[:3]) > OVERLAP:
+        if np.linalg.norm(self.graph.nodes[first, :3] - place[:3]) > OVERLAP_RADIUS:
             self.refused.append(Refusal(first, second, "found where no keyframe is near"))
             return []
-        return [(first, between(self.graph.nodes[first], place), *SLACK)]
+        return [(first, between(self.graph.nodes[first], place), *SEARCH_SLACK)]
 
     def _map_before(self, run: int) -> PriorMap:
         scans = self._recording.scans
@@ -368,7 +377,7 @@ class Closing:
             if (
                 scan.run in self._found
                 and scan.run < run
-                and (last is None or last.run != scan.run or scan.along - last.along >= TOUR)
+                and (last is None or last.run != scan.run or scan.along - last.along >= TOUR_SPACING)
             ):
                 chosen.append(n)
         made = fuse(self._recording, poses, self._params, chosen)
@@ -400,13 +409,13 @@ class Closing:
         frames = self.keyframes
         ends = ((frames[a.first], frames[b.first]), (frames[a.second], frames[b.second]))
         ways = [abs(p.along - q.along) for p, q in ends]
-        if any(p.run != q.run for p, q in ends) or max(ways) > TOGETHER or a.second == b.second:
+        if any(p.run != q.run for p, q in ends) or max(ways) > SUPPORT_LENGTH or a.second == b.second:
             return False
         here, there = (between(p.place, q.place) for p, q in ends)
         round_trip = between(after(here, b.relative), after(a.relative, there))
         sigma = np.sqrt(2.0 * LOOP_SIGMA**2 + sum(ways) * self._drift**2)
         sigma[:2] = np.hypot(sigma[:2], sigma[3] * max(ways))  # a turn at one end moves the other
-        return bool((np.abs(round_trip) < SIGMAS * sigma).all())
+        return bool((np.abs(round_trip) < SEARCH_SIGMAS * sigma).all())
 
     def _enter(self, match: Match) -> None:
         run = self.keyframes[match.second].run

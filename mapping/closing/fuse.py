@@ -16,7 +16,7 @@ from mapping.elevation.map import ElevationMap
 
 CLEAN_EVERY = 3
 """Scans from one look along the rays to the next, as the stack has it."""
-BETWEEN = 1800 * 10**9
+RUN_GAP = 1800 * 10**9
 """Two runs [ns], whatever their clocks say: what a map knows from an hour ago gives way sooner."""
 
 
@@ -68,7 +68,7 @@ def fusing(made: ElevationMap, recording: Recording, poses: Array, numbers: Iter
         scan, position = recording.scans[n], poses[n, :3, 3]
         orientation = quaternion(poses[n, :3, :3])
         if last is not None and last.run != scan.run:
-            shift += last.stamp + BETWEEN - scan.stamp
+            shift += last.stamp + RUN_GAP - scan.stamp
         last, stamp = scan, scan.stamp + shift
         for sensor, points in recording.points(scan):
             made.fuse(points, position, orientation, stamp, sensor)

@@ -22,13 +22,13 @@ from scipy.sparse.linalg import SuperLU, splu
 from hal.rotation import wrap
 from hal.types import Array
 
-HELD = (1e-4, 1e-4, 1e-4, 1e-5)
+HELD_SIGMA = (1e-4, 1e-4, 1e-4, 1e-5)
 """Standard deviations of the first node, which makes the frame [m], [rad],"""
-FREE = (1e3, 1e3, 1e3, 10.0)
+FREE_SIGMA = (1e3, 1e3, 1e3, 10.0)
 """and of the first node of a run whose place among the others is not known."""
-CAUCHY = 3.0
+CAUCHY_WIDTH = 3.0
 """Standard deviations at which a loop has half of its weight."""
-STEPS, SMALL = 50, 1e-5
+MOST_STEPS, SMALL_STEP = 50, 1e-5
 """Of the iteration at most, and the step [m, rad] that ends it."""
 
 
@@ -109,7 +109,7 @@ class PoseGraph:
 
     def begin(self, pose: ArrayLike) -> int:
         """The first node of a run, at `pose` (4,); the very first one is held there. Returns its number."""
-        sigma = HELD if len(self.nodes) == 0 else FREE
+        sigma = HELD_SIGMA if len(self.nodes) == 0 else FREE_SIGMA
         self._priors.append((len(self.nodes), np.asarray(pose, np.float64), np.array(sigma)))
         return self._append(np.asarray(pose, np.float64))
 
@@ -162,7 +162,7 @@ class PoseGraph:
         measured, loops, n = self.odometry, self.loops, len(self.nodes)
         run, way = np.array(self._ways).reshape(-1, 2).T
         wrong = np.zeros((len(self._priors), 4))
-        for _ in range(STEPS):
+        for _ in range(MOST_STEPS):
             weight = _weights(loops.errors(self.nodes))
             odometry = replace(measured, relative=measured.relative + wrong[run.astype(int)] * way[:, None])
             told = None if steady is None else (wrong, np.asarray(steady, np.float64))
@@ -171,7 +171,7 @@ class PoseGraph:
             self.nodes = self.nodes + step[:n]
             self.nodes[:, 3] = wrap(self.nodes[:, 3])
             wrong = wrong if steady is None else wrong + step[n:]
-            if np.abs(step[:n]).max(initial=0.0) < SMALL:
+            if np.abs(step[:n]).max(initial=0.0) < SMALL_STEP:
                 break
         self._factors = factors if steady is None else None
         return _weights(loops.errors(self.nodes))
@@ -248,7 +248,7 @@ def _edges(of: list[tuple[int, int, Array, Array]]) -> Edges:
 
 def _weights(errors: Array) -> Array:
     """(m,) Cauchy's weight of loops whose errors are (m, 4) [standard deviations]."""
-    return np.asarray(1.0 / (1.0 + (errors**2).sum(axis=1) / CAUCHY**2))
+    return np.asarray(1.0 / (1.0 + (errors**2).sum(axis=1) / CAUCHY_WIDTH**2))
 
 
 def levelled(pose: Array, below: float = 0.0) -> Array:

@@ -18,15 +18,15 @@ from mapping.elevation.map import ElevationMap
 from mapping.relocalise import PriorMap, Submap
 from mapping.thin_cloud import ThinCloud
 
-SPACING = 4.0
+KEYFRAME_SPACING = 4.0
 """Between keyframes, along the way [m]."""
-AROUND, STRIDE = 8.0, 1.0
+MAP_REACH, MAP_STRIDE = 8.0, 1.0
 """The map of a keyframe is made of scans up to so far away along the way, so far apart [m]."""
-LOOKS = (-3.0, 3.0, 0.0)
+SUBMAP_SCANS = (-3.0, 3.0, 0.0)
 """Scans of a keyframe's submap, along the way from it [m]; the last one is the keyframe."""
-VOXEL = 0.15
+SUBMAP_VOXEL = 0.15
 """Of a submap [m]: with the relocaliser's 0.1 m a comparison takes twice as long."""
-KEPT = 24
+KEPT_MAPS = 24
 """Maps that are kept in memory, 20 MB each: keyframes that are compared lie near each other."""
 T = TypeVar("T")
 
@@ -45,11 +45,12 @@ class Keyframe:
 
 
 def keyframes_of(scans: list[Scan], newest: list[Keyframe]) -> list[Keyframe]:
-    """Every `SPACING` along each run, and its first scan; of the scans after the `newest` one that is known."""
+    """Every `KEYFRAME_SPACING` along each run, and its first scan; of the scans after the `newest` one that is
+    known."""
     out = list(newest)
     for n in range(newest[-1].scan if newest else 0, len(scans)):
         scan = scans[n]
-        if not out or out[-1].run != scan.run or scan.along - out[-1].along >= SPACING:
+        if not out or out[-1].run != scan.run or scan.along - out[-1].along >= KEYFRAME_SPACING:
             out.append(Keyframe(n, scan.run, scan.along, levelled(scan.pose, scan.below)))
     return out[len(newest) :]
 
@@ -80,7 +81,7 @@ class Surroundings:
 
     def _build(self, keyframe: Keyframe) -> PriorMap | None:
         made, cloud = ElevationMap(self._params), ThinCloud()
-        for n in self._near(keyframe, np.arange(-AROUND, AROUND + 1e-6, STRIDE)):
+        for n in self._near(keyframe, np.arange(-MAP_REACH, MAP_REACH + 1e-6, MAP_STRIDE)):
             scan = self._recording.scans[n]
             pose = seen_from(keyframe.place, scan.pose)
             for sensor, points in self._recording.points(scan):
@@ -92,8 +93,8 @@ class Surroundings:
         return PriorMap(cloud.points, [made.grid()])
 
     def _look(self, keyframe: Keyframe) -> Submap:
-        submap = Submap(VOXEL)
-        for n in self._near(keyframe, np.array(LOOKS)):
+        submap = Submap(SUBMAP_VOXEL)
+        for n in self._near(keyframe, np.array(SUBMAP_SCANS)):
             scan = self._recording.scans[n]
             pose = seen_from(keyframe.place, scan.pose)
             submap.stand()
@@ -107,7 +108,7 @@ class Surroundings:
         own = np.array([n for n, scan in enumerate(scans) if scan.run == keyframe.run])
         along = np.array([scans[n].along for n in own])
         at = np.searchsorted(along, keyframe.along + away).clip(max=len(own) - 1)
-        far = np.abs(along[at] - keyframe.along - away) < 2.0 * STRIDE
+        far = np.abs(along[at] - keyframe.along - away) < 2.0 * MAP_STRIDE
         chosen = [int(n) for n in own[at[far]]]
         if away[-1] == 0.0:
             chosen[-1] = keyframe.scan  # the robot may have stood there: any of these scans is as far along
@@ -117,7 +118,7 @@ class Surroundings:
 def keep(kept: OrderedDict[int, T], key: int, value: T) -> None:
     """Put it to those that are kept; the oldest one goes."""
     kept[key] = value
-    if len(kept) > KEPT:
+    if len(kept) > KEPT_MAPS:
         kept.popitem(last=False)
 
 

@@ -17,9 +17,9 @@ from hal.rotation import wrap
 from hal.types import NS, Array
 from mapping.closing.graph import levelled
 from mapping.elevation.sensor import Sensor
-from mapping.thin_cloud import REACH
+from mapping.thin_cloud import POINT_REACH
 
-EVERY = (0.1, math.radians(5.0), 2 * NS)
+SCAN_SPACING = (0.1, math.radians(5.0), 2 * NS)
 """A scan is kept when the robot moved [m] or turned [rad] so far since the last one, or so long after it [ns]."""
 MILLIMETRE = 1000.0
 
@@ -70,13 +70,13 @@ class Recording:
         if last is not None:
             a, b = levelled(last.pose), levelled(pose)
             moved, turned = math.dist(a[:2], b[:2]), abs(wrap(b[3] - a[3]))
-            if moved < EVERY[0] and turned < EVERY[1] and stamp - last.stamp < EVERY[2]:
+            if moved < SCAN_SPACING[0] and turned < SCAN_SPACING[1] and stamp - last.stamp < SCAN_SPACING[2]:
                 return False
             along = last.along + moved
         kept = []
         self._file.seek(6 * self._end)
         for sensor, points in clouds:
-            near = points[np.square(points).sum(axis=1) < REACH**2]  # without what is no number
+            near = points[np.square(points).sum(axis=1) < POINT_REACH**2]  # without what is no number
             self._file.write(np.rint(near * MILLIMETRE).astype("<i2").tobytes())
             kept.append((sensor, self._end, len(near)))
             self._end += len(near)

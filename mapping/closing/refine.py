@@ -16,19 +16,19 @@ from hal.types import Array
 from mapping.closing.graph import back
 from mapping.closing.keyframes import Keyframe, seen_from
 from mapping.closing.recording import Recording
-from mapping.closing.verify import GRIP
-from mapping.relocalise.submap import NEAREST
+from mapping.closing.verify import LEAST_GRIP
+from mapping.relocalise.submap import NEAREST_POINT
 from mapping.thin_cloud import ThinCloud
 
-FINE = 0.1
+SWEEP_VOXEL = 0.1
 """Voxels of a sweep [m]."""
-NEIGHBOURS = 20
+NORMAL_NEIGHBOURS = 20
 """Points behind the normal of one."""
-PULL = (0.4, 0.4, 0.4, 0.2, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1)
+PULL_REACH = (0.4, 0.4, 0.4, 0.2, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1)
 """Farthest partner of a point [m] in each step."""
-CLOSE = 0.02
+PLANE_SCALE = 0.02
 """Points that lie so far off the plane [m] count a quarter, or a tenth of the pull where that is more."""
-BOTH = (0.02, 0.02, 0.02, math.radians(0.1))
+DIRECTION_GAP = (0.02, 0.02, 0.02, math.radians(0.1))
 """The two ways of a registration differ by less along x, y, z [m] and in yaw [rad]."""
 
 
@@ -45,16 +45,16 @@ class Sweep:
     @classmethod
     def of(cls, recording: Recording, keyframe: Keyframe) -> Sweep | None:
         """The keyframe's own scan; None where it holds next to nothing."""
-        scan, thin = recording.scans[keyframe.scan], ThinCloud(FINE)
+        scan, thin = recording.scans[keyframe.scan], ThinCloud(SWEEP_VOXEL)
         pose = seen_from(keyframe.place, scan.pose)
         for _, points in recording.points(scan):
-            far = np.hypot(points[:, 0], points[:, 1]) > NEAREST
+            far = np.hypot(points[:, 0], points[:, 1]) > NEAREST_POINT
             thin.add(points[far], pose[:3, :3], pose[:3, 3])
-        if len(thin.points) < NEIGHBOURS:
+        if len(thin.points) < NORMAL_NEIGHBOURS:
             return None
         cloud = small_gicp.PointCloud(thin.points.astype(np.float64))
         tree = small_gicp.KdTree(cloud)
-        small_gicp.estimate_normals_covariances(cloud, tree, NEIGHBOURS)
+        small_gicp.estimate_normals_covariances(cloud, tree, NORMAL_NEIGHBOURS)
         return cls(
             np.asarray(cloud.points())[:, :3], np.ascontiguousarray(np.asarray(cloud.normals())[:, :3]), tree
         )
@@ -63,7 +63,7 @@ class Sweep:
         """Where (4,) in the frame of this one the other is, near `relative` (4,), as gravity is known; and how well the
         walls hold it in the plane [0..0.5]."""
         pose, grip = relative.copy(), 0.0
-        for reach in PULL:
+        for reach in PULL_REACH:
             there = other.points @ rotation_rpy(0.0, 0.0, pose[3]).T + pose[:3]
             index, square = (
                 np.asarray(a).reshape(-1) for a in self.tree.batch_nearest_neighbor_search(there)
@@ -75,7 +75,7 @@ class Sweep:
             arm = there[:, :2] - pose[:2]
             turn = normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]
             jacobian = np.column_stack([normal, turn])
-            weight = 1.0 / (1.0 + (off / max(CLOSE, 0.1 * reach)) ** 2) ** 2
+            weight = 1.0 / (1.0 + (off / max(PLANE_SCALE, 0.1 * reach)) ** 2) ** 2
             a = (jacobian * weight[:, None]).T @ jacobian + 1e-6 * np.eye(4)
             pose = pose - np.linalg.solve(a, (jacobian * weight[:, None]).T @ off)
             held = np.linalg.eigvalsh(a[:2, :2])
@@ -92,7 +92,7 @@ def exact(a: Sweep | None, b: Sweep | None, relative: Array) -> Array | None:
     there, grip = a.lay(b, relative)
     again, other = b.lay(a, back(there))
     again = back(again)
-    if min(grip, other) < GRIP or (apart(there, again) > BOTH).any():
+    if min(grip, other) < LEAST_GRIP or (apart(there, again) > DIRECTION_GAP).any():
         return None
     again[3] = there[3] + wrap(again[3] - there[3])
     return 0.5 * (there + again)

@@ -12,13 +12,13 @@ from hal.rotation import wrap
 from hal.types import Array
 from mapping.closing.graph import after, back
 from mapping.closing.keyframes import Keyframe, Surroundings
-from mapping.relocalise import ENOUGH, Candidate, Place, possible, same
+from mapping.relocalise import ENOUGH_CERTAINTY, Candidate, Place, possible, same
 
-BOTH = (0.1, 0.1, 0.1, math.radians(1.0))
+DIRECTION_GAP = (0.1, 0.1, 0.1, math.radians(1.0))
 """The two directions of a registration differ by less along x, y, z [m] and in yaw [rad]."""
-GRIP = 0.05
+LEAST_GRIP = 0.05
 """Least share of the walls' normals along the direction that they hold least. Normals of one plane scatter by 0.01."""
-LEAD = 0.12
+LEAST_LEAD = 0.12
 """A place is more certain than any other by at least this: of the looks of one keyframe none is far from the others, so
 they count as two."""
 
@@ -70,16 +70,16 @@ class Verifier:
         assert prior is not None  # it was searched
         submap = self._around.submap(self._keyframes[match.second])
         grip = prior.surfaces.grip(submap.cloud()[0], place_of(match.relative))
-        if grip < GRIP:
+        if grip < LEAST_GRIP:
             return f"slides: the walls hold it in one direction only ({grip:.0%} of them in the other)"
         other = back(match.relative)
         found = self.search(match.second, match.first, other, 1.0, math.radians(10.0))
         best = found[0] if found else None
-        if best is None or best.certainty < ENOUGH:
+        if best is None or best.certainty < ENOUGH_CERTAINTY:
             return f"one way only: searched the other way round it is {best.certainty if best else 0.0:.0%} certain"
         off = pose_of(best.place) - other
         off[3] = wrap(off[3])
-        if (np.abs(off) > BOTH).any():
+        if (np.abs(off) > DIRECTION_GAP).any():
             return f"the two ways differ by {np.linalg.norm(off[:3]):.2f} m and {abs(math.degrees(off[3])):.1f} deg"
         return ""
 

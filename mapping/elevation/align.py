@@ -14,15 +14,15 @@ from hal.rotation import rotation_rpy
 from mapping.elevation.fusion import DEPTH, TOP, WEIGHT
 from mapping.elevation.tiles import TileStore
 
-FLAT = 0.03
+FLAT_RISE = 0.03
 """Largest difference of height within 3 x 3 cells [m] of ground that tells a height: a ramp does, an edge does not."""
-GATE = 0.10
+HEIGHT_GATE = 0.10
 """What differs more from the prior map [m] has changed since."""
-SCALE = 0.05
+HEIGHT_SCALE = 0.05
 """Differences of this size [m] count a quarter."""
 SLOPES_HELD = 1.0
 """Mean square reach of the ground that is compared [m^2] at which half of a slope is taken."""
-ENOUGH = 50
+ENOUGH_CELLS = 50
 """Cells of ground that are compared at least: between the walls of a lane a scan of the XT16 meets about 100."""
 LEVEL_OFF = 0.05
 """A map that lies higher or lower than this on the whole [m] is taken at its level: it counts from another start."""
@@ -77,7 +77,7 @@ class Alignment:
         level = self._take_level(off) if self._taken == 0 else np.float32(0.0)
         off -= level
         n, total, a, b = _normal_equations(off, which, store.tiles, store.shift, self._at, resolution)
-        if n < ENOUGH:
+        if n < ENOUGH_CELLS:
             return bool(level)
         self._taken += 1
         step = np.linalg.solve(a / total + np.diag([0.0, SLOPES_HELD, SLOPES_HELD]), b / total)
@@ -90,7 +90,7 @@ class Alignment:
         """Take the level of a prior map that counts from another start. Returns how much higher the scan lay [m].
         off: see `_over_ground`."""
         told = off[np.isfinite(off)]
-        if len(told) < ENOUGH:
+        if len(told) < ENOUGH_CELLS:
             return np.float32(0.0)
         middle = np.median(told)
         one_level = np.median(np.abs(told - middle)) < LEVEL_OFF
@@ -120,7 +120,7 @@ def _over_ground(which, sums, known, shift):  # pragma: no cover - compiled
                 seen += h == h
                 low = h if h < low else low
                 high = h if h > high else high
-        if seen == 9 and high - low <= FLAT:
+        if seen == 9 and high - low <= FLAT_RISE:
             off[s] = sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT] - known[index]
     return off
 
@@ -134,14 +134,14 @@ def _normal_equations(off, which, tiles, shift, at, resolution):  # pragma: no c
     j = np.ones(3)
     size = np.int64(1) << shift
     for s in range(len(which)):
-        if not abs(off[s]) <= GATE:
+        if not abs(off[s]) <= HEIGHT_GATE:
             continue
         index = which[s]
         r, c = (index >> shift) & (size - 1), index & (size - 1)
         slot = index >> (2 * shift)
         j[1] = (tiles[slot, 1] * size + c) * resolution - at[0]
         j[2] = (tiles[slot, 0] * size + r) * resolution - at[1]
-        w = 1.0 / (1.0 + (off[s] / SCALE) ** 2)
+        w = 1.0 / (1.0 + (off[s] / HEIGHT_SCALE) ** 2)
         w *= w
         n += 1
         total += w

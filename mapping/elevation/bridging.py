@@ -20,11 +20,11 @@ from hal.kernels import borrows, inlined
 WHEELS, PLANTS, OVER, BESIDE, ASSUMED = 1, 5, 6, 7, 8
 """`source` of cells: stood on by wheels; ground under leaves; bridged; bridged beside the wheels; bridged over a gap
 that may hide a pit. No ray comes low beside the wheels, so bridges that start there keep the looser rule."""
-RIM = 0.2
+RIM_WIDTH = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
-WALL, BEFORE = 0.2, 2
+WALL_HEIGHT, BEFORE_WALL = 0.2, 2
 """A cell with another one this much higher [m] within so many cells stands before a wall."""
-SPREAD = 3.0
+POINT_SIGMAS = 3.0
 """Standard deviations by which a single point may be off."""
 
 
@@ -46,9 +46,9 @@ def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
 def _before_wall(height, r, c):  # pragma: no cover
     """Whether a wall stands beside cell (r, c)."""
     rows, cols = height.shape
-    for a in range(max(r - BEFORE, 0), min(r + BEFORE + 1, rows)):
-        for b in range(max(c - BEFORE, 0), min(c + BEFORE + 1, cols)):
-            if height[a, b] > height[r, c] + WALL:
+    for a in range(max(r - BEFORE_WALL, 0), min(r + BEFORE_WALL + 1, rows)):
+        for b in range(max(c - BEFORE_WALL, 0), min(c + BEFORE_WALL + 1, cols)):
+            if height[a, b] > height[r, c] + WALL_HEIGHT:
                 return True
     return False
 
@@ -57,9 +57,9 @@ def _before_wall(height, r, c):  # pragma: no cover
 def _ends_at_wall(height, r, c, dr, dc):  # pragma: no cover
     """Whether a wall stands beyond cell (r, c) along (dr, dc)."""
     rows, cols = height.shape
-    for k in range(1, BEFORE + 1):
+    for k in range(1, BEFORE_WALL + 1):
         a, b = r + k * dr, c + k * dc
-        if 0 <= a < rows and 0 <= b < cols and height[a, b] > height[r, c] + WALL:
+        if 0 <= a < rows and 0 <= b < cols and height[a, b] > height[r, c] + WALL_HEIGHT:
             return True
     return False
 
@@ -109,7 +109,7 @@ def trust(
     A cell of fewer than `alone` points is stray if all its settled neighbours lie lower, or if no neighbour reaches
     it. A robot that looks at an edge for long collects mixed pixels one by one; a post gives several in each scan.
 
-    Stray cells are erased from `height` and `source`. The ground is not above such a point by more than `SPREAD`
+    Stray cells are erased from `height` and `source`. The ground is not above such a point by more than `POINT_SIGMAS`
     standard deviations: `bound` is `upper` with these bounds, for `bridge`."""
     rows, cols = height.shape
     out = np.zeros((rows, cols), dtype=np.bool_)
@@ -145,7 +145,7 @@ def trust(
                     out[r, c] = variance[r, c] < v_max
     for at in none[:n_none]:
         r, c = at // cols, at % cols
-        bound[r, c] = min(upper[r, c], height[r, c] + SPREAD * np.sqrt(variance[r, c]))
+        bound[r, c] = min(upper[r, c], height[r, c] + POINT_SIGMAS * np.sqrt(variance[r, c]))
         source[r, c] = 0
         height[r, c] = np.nan
         variance[r, c] = np.nan
@@ -339,7 +339,9 @@ def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no
                 source[i, j] = kind[i, j]
                 trusted[i, j] = True
         if found[1, 0] > 0:
-            _drop_rims(height, source, trusted, level, found[1, 1 : 1 + found[1, 0]], int(RIM / rule[0]))
+            _drop_rims(
+                height, source, trusted, level, found[1, 1 : 1 + found[1, 0]], int(RIM_WIDTH / rule[0])
+            )
     for row in range(rows):
         for col in range(cols):
             if source[row, col] == ASSUMED:

@@ -23,7 +23,7 @@ HOLE = 7
 """`source` of holes wider than the robot crosses; in read-outs only."""
 SOURCES = ("unknown", "wheels", "LiDAR", "bridged", "assumed", "ground under leaves", "touched", "a hole")
 """In words, by `source`."""
-LARGEST = 50_000_000
+LARGEST_PATCH = 50_000_000
 """Cells of one patch: 280 m x 280 m of 4 cm, 1 GB."""
 
 

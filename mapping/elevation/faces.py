@@ -14,9 +14,9 @@ from hal.kernels import borrows
 from mapping.elevation.fusion import BOTTOM, DEPTH, POINTS, SHARED, TOP, WEIGHT
 from mapping.elevation.tile_kernels import base_of
 
-PASSES = 2
+FILL_PASSES = 2
 """The scatter before a face and the face itself."""
-SIDEWAYS = 0.02
+SIDEWAYS_SHARE = 0.02
 """Share of the view direction along an axis below which a cell has no front on it."""
 X, Y, RIM, FACE, FACE_X, ALL_X = 0, 1, 2, 3, 4, 6
 """Columns of a face, one cache line: middle of its cell [m]; height [m] below which a point lies on the face alone,
@@ -107,14 +107,14 @@ def fill_faces(
         part[c, FACE_X + 1] += on_face * y
         part[c, ALL_X] += x
         part[c, ALL_X + 1] += y
-    most = k + PASSES * faces
+    most = k + FILL_PASSES * faces
     handed, given = np.zeros(most, np.uint8), np.zeros(most, np.bool_)
     todo = np.empty(faces, np.uint32)
     for a in range(faces):
         todo[a] = a
     waiting = faces
     rows, gone = k, False
-    for _ in range(PASSES):
+    for _ in range(FILL_PASSES):
         front = tall.copy()
         left = np.uint32(0)
         for a in range(waiting):
@@ -132,7 +132,7 @@ def fill_faces(
             hidden = False  # without a face before it nothing changes until the next pass
             for axis in range(2):
                 along = dx if axis == 0 else dy
-                if abs(along) < SIDEWAYS * far:
+                if abs(along) < SIDEWAYS_SHARE * far:
                     continue
                 d = np.int64(1) if along > 0.0 else np.int64(-1)
                 di, dj = (np.int64(0), d) if axis == 0 else (d, np.int64(0))

@@ -17,7 +17,7 @@ from mapping.elevation.exchange import HOLE, MapError, MapPatch
 from mapping.elevation.tiles import CELL, CONTACT, LIDAR, PLANTS, PRIOR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
-VERSION = 1
+FILE_VERSION = 1
 PRIOR_SIGMA = 0.04
 """Height noise of a prior map of unknown making [m]."""
 MAX_EXTENT = 20_000.0
@@ -41,7 +41,7 @@ def save_store(
     keys = store.keys
     arrays: dict[str, Any] = {
         "format": np.array(FORMAT),
-        "version": np.array(VERSION),
+        "version": np.array(FILE_VERSION),
         "frame": np.array("map"),
         "resolution": np.array(resolution),
         "tile_cells": np.array(store.size),
@@ -171,8 +171,10 @@ def checked_cloud(cloud: NDArray[Any], name: str) -> NDArray[np.float32]:
 def _load_own(store: TileStore, data: dict[str, NDArray], name: str, resolution: float, enough: int) -> int:
     if str(data["format"]) != FORMAT:
         raise MapError(f"{name}: not an elevation map but {data['format']}")
-    if str(data.get("version")) != str(VERSION):
-        raise MapError(f"{name}: map version {data.get('version')}; this program reads version {VERSION}")
+    if str(data.get("version")) != str(FILE_VERSION):
+        raise MapError(
+            f"{name}: map version {data.get('version')}; this program reads version {FILE_VERSION}"
+        )
     try:
         own, size, tiles = float(data["resolution"]), int(data["tile_cells"]), data["tiles"]
         shape = (len(tiles), size, size)

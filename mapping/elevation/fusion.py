@@ -38,7 +38,7 @@ def report_of(
     )  # fmt: skip
 
 
-_NOWHERE = 1e12
+_FARTHEST_SQUARE = 1e12
 """Square of the distance [m^2] beyond which a point does not count, such as one that is not finite: its ray has no
 end in single precision."""
 
@@ -92,7 +92,7 @@ def project(
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
         dx, dy, dz = px - ox, py - oy, pz - oz
         rr = dx * dx + dy * dy + dz * dz
-        if not rr < _NOWHERE:
+        if not rr < _FARTHEST_SQUARE:
             counts[DROP_NAN] += 1
             continue
         if rr < near:

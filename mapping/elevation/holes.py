@@ -5,7 +5,7 @@ below them. Cells round its width: a few centimetres of ground fill the cell at 
 far rim scatter into the cell before it. So a rim is the first cell that is as high as the ground behind it, which
 counts up to its middle, and the width is measured along eight directions. What is wider than the robot crosses is told
 as `exchange.HOLE`; planner and guard read that, each with its own kernel. They know the wider ones by their cells:
-`REACH` ends where every hole has more cells without ground than they cross.
+`WIDEST_HOLE` ends where every hole has more cells without ground than they cross.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from mapping.elevation.bridging import OVER
 
 LIDAR, WIDE = 2, 9
 """`source` of measured cells, and of a hole that is wider than what is crossed, until it is told as `exchange.HOLE`."""
-REACH = 0.4
+WIDEST_HOLE = 0.4
 """[m] between the rims of the widest hole that is looked for: less than the body is wide, so no way between two walls
 is one."""
-SHALLOW = 0.05
+LEAST_DEPTH = 0.05
 """[m] below both rims that a ray must have come to show a hole: more than heights and poses are off."""
-WALL = 0.02
+WALL_DROP = 0.02
 """[m] by which a cell is lower than the ground behind it that holds the wall below a rim."""
-SHARE = 0.4
+GROUND_SHARE = 0.4
 """Of the points of the ground behind it: a cell with fewer is less than half ground, or holds what scatters before the
 wall."""
-STEEP, STEEPEST = 0.1, 0.5
+STEEP_FALL, STEEPEST_FALL = 0.1, 0.5
 """[m/m] Ground that falls by more towards the hole goes on so, as in a valley; by so much at most."""
-BEHIND = 4
+SLOPE_CELLS = 4
 """Cells behind a rim that tell its slope."""
-EVEN, UNEVEN = 3, 0.03
-"""Cells behind a rim that must be known and no more uneven [m], or steeper than `STEEPEST`: a rim is ground, and no
-post of a stepfield and no bar."""
-ASIDE = 2
+RIM_CELLS, RIM_ROUGHNESS = 3, 0.03
+"""Cells behind a rim that must be known and no more uneven [m], or steeper than `STEEPEST_FALL`: a rim is ground, and
+no post of a stepfield and no bar."""
+CELLS_ASIDE = 2
 """Cells to both sides at which a rim is no more uneven, as far as they are known: a wall that is seen along its length
 is none."""
-DIRECTIONS = 8
-ROUNDING = 0.25
+DIRECTION_COUNT = 8
+RIM_ROUNDING = 0.25
 """Cells by which the middles of two rims are farther apart along a direction than the slit is wide, as a rule."""
-TOGETHER, OF_THEM = 0.3, 0.5
+TOGETHER_RADIUS, OF_THEM = 0.3, 0.5
 """Cells within so many [m] tell the width together: a hole is wide where so large a share of them has it wide. One cell
 is off by 2 cm (simulated LiDARs, slits of 0.10 to 0.20 m at 0 to 45 deg). With a third instead, a crack of 0.10 m at 45
 deg held a robot that was half across."""
@@ -76,7 +76,7 @@ def _rim(height, source, ground, points, r, c, dr, dc, low, most, out):  # pragm
         last_r, last_c = i, j
         z = height[i, j]
         near, far, n, many = 0.0, z, 0, 0.0
-        for b in range(1, BEHIND + 1):
+        for b in range(1, SLOPE_CELLS + 1):
             x, y = math.floor(i + b * dr + 0.5), math.floor(j + b * dc + 0.5)
             if x < 0 or y < 0 or x >= rows or y >= cols or not ground[x, y]:
                 break
@@ -87,19 +87,19 @@ def _rim(height, source, ground, points, r, c, dr, dc, low, most, out):  # pragm
         if (
             n >= 2
             and walls < 2
-            and (near - z > WALL or (source[i, j] == LIDAR and points[i, j] < SHARE * many))
+            and (near - z > WALL_DROP or (source[i, j] == LIDAR and points[i, j] < GROUND_SHARE * many))
         ):
             walls += 1
             continue
-        if n < EVEN or abs(far - z) > max(UNEVEN, n * out[3]):
+        if n < RIM_CELLS or abs(far - z) > max(RIM_ROUGHNESS, n * out[3]):
             return False  # the top of a post or a bar
-        for side in (-ASIDE, ASIDE):
+        for side in (-CELLS_ASIDE, CELLS_ASIDE):
             x, y = math.floor(i + dr - side * dc + 0.5), math.floor(j + dc + side * dr + 0.5)
             inside = 0 <= x < rows and 0 <= y < cols
-            if inside and ground[x, y] and abs(height[x, y] - z) > max(UNEVEN, ASIDE * out[3]):
+            if inside and ground[x, y] and abs(height[x, y] - z) > max(RIM_ROUGHNESS, CELLS_ASIDE * out[3]):
                 return False  # a wall along the way, seen from its foot
         away = (i - r) * dr + (j - c) * dc
-        fall = (far - z) / n if n == BEHIND else 0.0
+        fall = (far - z) / n if n == SLOPE_CELLS else 0.0
         out[0], out[1] = away, z - (min(fall, out[3]) * away if fall > out[2] else 0.0)
         return True
     return False
@@ -114,7 +114,7 @@ def _between(height, trusted, bound, deep, r, c, dr, dc, n, most, out):  # pragm
     for k in range(n):
         i, j = r + k * dr, c + k * dc
         z = height[i, j] if trusted[i, j] else bound[i, j]
-        below = last >= 0 and k - last <= most and rim - z > (deep if trusted[i, j] else SHALLOW)
+        below = last >= 0 and k - last <= most and rim - z > (deep if trusted[i, j] else LEAST_DEPTH)
         if below:
             out[i, j] += 1
         elif trusted[i, j]:
@@ -132,9 +132,9 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
     """
     rows, cols = height.shape
     out[:] = 0.0
-    most = int(REACH / resolution)
+    most = int(WIDEST_HOLE / resolution)
     # What no row and no column has between two rims is in no slit of any direction.
-    oblique = int(math.sqrt(2.0) * REACH / resolution) + 1
+    oblique = int(math.sqrt(2.0) * WIDEST_HOLE / resolution) + 1
     along, across = np.zeros((rows, cols), np.uint8), np.zeros((rows, cols), np.uint8)
     still, on = np.int64(0), np.int64(1)  # with numbers written out each call would be compiled by itself
     for r in range(rows):
@@ -155,14 +155,14 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
         for c in range(cols):
             ground[r, c] = trusted[r, c] and source[r, c] < OVER
     one, other = np.empty(4), np.empty(4)
-    one[2] = other[2] = STEEP * resolution
-    one[3] = other[3] = STEEPEST * resolution
+    one[2] = other[2] = STEEP_FALL * resolution
+    one[3] = other[3] = STEEPEST_FALL * resolution
     for r, c in seeds:
         z = np.float64(height[r, c] if trusted[r, c] else bound[r, c])
-        drop = deep if trusted[r, c] else SHALLOW
+        drop = deep if trusted[r, c] else LEAST_DEPTH
         narrowest = np.inf
-        for k in range(DIRECTIONS):
-            dr, dc = math.sin(math.pi * k / DIRECTIONS), math.cos(math.pi * k / DIRECTIONS)
+        for k in range(DIRECTION_COUNT):
+            dr, dc = math.sin(math.pi * k / DIRECTION_COUNT), math.cos(math.pi * k / DIRECTION_COUNT)
             if not _rim(height, source, ground, points, r, c, dr, dc, z + 0.5 * drop, most, one):
                 continue
             if not _rim(height, source, ground, points, r, c, -dr, -dc, z + 0.5 * drop, most, other):
@@ -170,7 +170,7 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
             width = (one[0] + other[0]) * resolution
             if abs(one[1] - other[1]) > deep:
                 continue  # a face with something low before it, whoever looks for a way over it
-            if width <= REACH and min(one[1], other[1]) - z > drop:
+            if width <= WIDEST_HOLE and min(one[1], other[1]) - z > drop:
                 narrowest = min(narrowest, width)
         if narrowest < np.inf:
             out[r, c] = narrowest
@@ -184,7 +184,7 @@ def mark_holes(
     unknown again. `width` is scratch; see `widths`."""
     rows, cols = height.shape
     widths(height, source, trusted, points, bound, resolution, drop, width)
-    reach = round(TOGETHER / resolution)
+    reach = round(TOGETHER_RADIUS / resolution)
     for r in range(rows):
         for c in range(cols):
             if width[r, c] == 0.0:
@@ -193,7 +193,7 @@ def mark_holes(
             for i in range(max(0, r - reach), min(rows, r + reach + 1)):
                 for j in range(max(0, c - reach), min(cols, c + reach + 1)):
                     told += width[i, j] > 0.0
-                    wide += width[i, j] > gap + ROUNDING * resolution
+                    wide += width[i, j] > gap + RIM_ROUNDING * resolution
             if wide >= OF_THEM * told:
                 source[r, c] = WIDE
                 if not trusted[r, c]:

@@ -27,13 +27,23 @@ from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import MAX_TILES, check, load_into, read_cloud, restore_store, save_store
 from mapping.elevation.holes import Crossing
-from mapping.elevation.mirror import BLOCK, PART
+from mapping.elevation.mirror import BLOCK_SIDE, PART_CELLS
 from mapping.elevation.plants import HARD, LEAFY, PlantVolume
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import AT_ONCE, CONTACT, FRESH, LIDAR, PLANTS, PRIOR, UNKNOWN, Layers, TileStore
+from mapping.elevation.tiles import (
+    AT_ONCE,
+    CONTACT,
+    FRESH_CELL,
+    LIDAR,
+    PLANTS,
+    PRIOR,
+    UNKNOWN,
+    Layers,
+    TileStore,
+)
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
@@ -44,16 +54,16 @@ CLOUD_EVERY = 10
 AT_A_TIME = 300_000
 """Cells of changes that are told at once, 6 MB. A prior map of 100 x 100 m in one go, 125 MB, came in half to its
 readers."""
-_HITS = 100_000
+_MOST_HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
 STEEP_RAYS = 2.0
 """[m] along the ground that the rays of the head's LiDAR are followed in each scan. They alone look into holes, few
 into each; `clean` takes the rays of one scan in three."""
-_TALL = -0.50, 0.25
+_BODY_HEIGHTS = -0.50, 0.25
 """z [m] in base_link between which nothing is mapped beside the body."""
-FINEST = 0.03
+FINEST_CELL = 0.03
 """Cells [m] in which plants are looked for."""
-UPRIGHT = 0.7
+UPRIGHT_COSINE = 0.7
 """Cosine of the tilt of a trunk that stands on its wheels."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
@@ -107,7 +117,7 @@ class ElevationMap:
         self._prior: PriorCheck | None = None
         self._buffers(1024)
         x, y = (0.5 * size + beside for size, beside in zip(p.body_size, p.beside, strict=True))
-        self._body = np.array([-x, x, -y, y, *_TALL])
+        self._body = np.array([-x, x, -y, y, *_BODY_HEIGHTS])
         self._fuse_rule = np.array(
             [
                 p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,
@@ -115,11 +125,11 @@ class ElevationMap:
                 p.alone_count,
             ]
         )  # fmt: skip
-        self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)
+        self._looks = np.empty(_MOST_HITS, np.int64), np.empty(_MOST_HITS), np.empty(_MOST_HITS, np.int32)
         self._no_looks = self._looks[0][:0], self._looks[1][:0], self._looks[2][:0]
         self._reader = MapReader(self.store, p, crossing)
         # Finer voxels would take 80 MB, and too few rays go through each.
-        self._plants = PlantVolume(p.resolution) if p.plants and p.resolution >= FINEST else None
+        self._plants = PlantVolume(p.resolution) if p.plants and p.resolution >= FINEST_CELL else None
 
     def _buffers(self, n: int) -> None:
         self._cell, self._z = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.float32)
@@ -292,7 +302,7 @@ class ElevationMap:
         yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
         world = contacts @ rotation.T + place
         stands_on = carried(self.store, p.resolution, world)
-        if not stands_on.any() or rotation[2, 2] < UPRIGHT:
+        if not stands_on.any() or rotation[2, 2] < UPRIGHT_COSINE:
             return 0
         radius = p.start_radius if start else None
         around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
@@ -391,7 +401,7 @@ class ElevationMap:
         cell = s.locate(row + corner[0], col + corner[1])
         new = s.cells[cell]
         leaves = state[row, col] == LEAFY
-        new[~leaves] = FRESH
+        new[~leaves] = FRESH_CELL
         for name, value in (
             ("height", ground[row, col]),
             ("upper", tops[row, col]),
@@ -462,7 +472,7 @@ class ElevationMap:
         place += move.of(place, kept["seen"], self._since(move.begin), self._since(move.end))
         for name in ("height", "alt", "below", "upper"):
             kept[name] += move.lift
-        held[:], s.touched[: s.used] = FRESH, 1
+        held[:], s.touched[: s.used] = FRESH_CELL, 1
         self._reader.walls.clear(s)
         known = sum(restore_store(s, patch, self.params, PRIOR, sent=False) for patch in patches)
         cell = s.locate(*np.rint(place.T / r).astype(np.int64))
@@ -496,7 +506,7 @@ class ElevationMap:
 
     def expect(self, blocks: int) -> None:
         """Make room for a map that comes back in so many blocks: to grow by and by copies what is there each time."""
-        self.store.reserve(min(blocks * BLOCK * BLOCK, MAX_TILES))
+        self.store.reserve(min(blocks * BLOCK_SIDE * BLOCK_SIDE, MAX_TILES))
 
     def restore(self, patch: MapPatch) -> int:
         """Take over what a reader still has of this map after the map itself was lost; returns the known cells.
@@ -526,7 +536,7 @@ class ElevationMap:
         """The whole map. Raises MapError while it is empty, and where it is too large for one patch."""
         return self._reader.read_all(self.stamp, self.epoch)
 
-    def boxes(self, most: int = PART) -> list[Box]:
+    def boxes(self, most: int = PART_CELLS) -> list[Box]:
         """The whole map as few boxes of whole tiles, one if that has at most so many cells. Raises MapError while it is
         empty."""
         return list(self._reader.boxes(most))

@@ -11,22 +11,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.exchange import LARGEST_PATCH, PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.shelf import Key, Shelf
 from mapping.grid import ElevationGrid
 
-SIDE = 64
+TILE_SIDE = 64
 """Cells of a tile's side."""
-STEP = 8 * SIDE
+VIEW_STEP = 8 * TILE_SIDE
 """A view moves by so many cells: it stays the same while a robot drives 20 m."""
-BLOCK = 8
+BLOCK_SIDE = 8
 """Tiles of the side of a block of a map that is sent in several patches."""
-WHOLE = 6_250_000
+WHOLE_CELLS = 6_250_000
 """Cells of a map that people and their tools get in one patch: 100 x 100 m of 4 cm."""
-PART = 600_000
+PART_CELLS = 600_000
 """The same for our own processes, which put patches together again. No stage stands still for longer than 0.1 s."""
 EMPTY = "no map yet: no patch was received"
-_UNSEEN = np.array([np.nan, np.nan, 0.0, np.nan, 0.0], np.float32)
+_UNSEEN_CELL = np.array([np.nan, np.nan, 0.0, np.nan, 0.0], np.float32)
 """A fresh cell, in the order of PATCH_LAYERS."""
 
 
@@ -59,26 +59,29 @@ class CellWindow:
 
     def on_tiles(self) -> CellWindow:
         """Grown to whole tiles."""
-        row, col = self.row // SIDE * SIDE, self.col // SIDE * SIDE
-        rows, cols = -(-(self.row + self.rows) // SIDE) * SIDE, -(-(self.col + self.cols) // SIDE) * SIDE
+        row, col = self.row // TILE_SIDE * TILE_SIDE, self.col // TILE_SIDE * TILE_SIDE
+        rows, cols = (
+            -(-(self.row + self.rows) // TILE_SIDE) * TILE_SIDE,
+            -(-(self.col + self.cols) // TILE_SIDE) * TILE_SIDE,
+        )
         return CellWindow(row, col, rows - row, cols - col)
 
     @property
     def tiles(self) -> Iterator[Key]:
         """Row and column of each tile that it touches."""
-        for row in range(self.row // SIDE, -(-(self.row + self.rows) // SIDE)):
-            for col in range(self.col // SIDE, -(-(self.col + self.cols) // SIDE)):
+        for row in range(self.row // TILE_SIDE, -(-(self.row + self.rows) // TILE_SIDE)):
+            for col in range(self.col // TILE_SIDE, -(-(self.col + self.cols) // TILE_SIDE)):
                 yield row, col
 
 
-def blocks_of(keys: NDArray[np.integer], side: int, most: int = PART) -> Iterator[CellWindow]:
+def blocks_of(keys: NDArray[np.integer], side: int, most: int = PART_CELLS) -> Iterator[CellWindow]:
     """Windows that hold all tiles (n, 2) of `side` cells: one if it has at most `most` cells, else blocks of 8 x 8
     tiles, each cut to its tiles."""
     whole = _window(keys, side)
     if whole.rows * whole.cols <= most:
         yield whole
         return
-    block = keys // BLOCK
+    block = keys // BLOCK_SIDE
     for place in np.unique(block, axis=0):
         yield _window(keys[(block == place).all(axis=1)], side)
 
@@ -99,7 +102,7 @@ class MapMirror:
         self.epoch = -1
         self.stamp = 0
         self._tiles: dict[Key, NDArray[np.float32]] = {}
-        """(5, SIDE, SIDE) each, in the order of PATCH_LAYERS."""
+        """(5, TILE_SIDE, TILE_SIDE) each, in the order of PATCH_LAYERS."""
         self.shelf = Shelf(folder)
         self._kept: CellWindow | None = None
 
@@ -143,7 +146,7 @@ class MapMirror:
             self._tiles.clear()
             self.shelf.clear()
         for key in window.tiles:
-            here = CellWindow(key[0] * SIDE, key[1] * SIDE, SIDE, SIDE)
+            here = CellWindow(key[0] * TILE_SIDE, key[1] * TILE_SIDE, TILE_SIDE, TILE_SIDE)
             both, tile = window.within(here), self._own(key)
             there, these = both.seen_from(here), both.seen_from(window)
             for layer, name in zip(tile, PATCH_LAYERS, strict=True):
@@ -152,7 +155,8 @@ class MapMirror:
         return window
 
     def tile(self, key: Key) -> NDArray[np.float32] | None:
-        """(5, SIDE, SIDE) layers of a tile in the order of PATCH_LAYERS, None where nothing was seen. Read only."""
+        """(5, TILE_SIDE, TILE_SIDE) layers of a tile in the order of PATCH_LAYERS, None where nothing was seen. Read
+        only."""
         if key in self.shelf:
             out = fresh_tile()
             self.shelf.get(key, out)
@@ -161,7 +165,7 @@ class MapMirror:
 
     def bounds(self) -> CellWindow:
         """The box around all tiles. Raises MapError before the first patch."""
-        return _window(self._keys(), SIDE)
+        return _window(self._keys(), TILE_SIDE)
 
     def view(self, xy: tuple[float, float], over: MapPatch | None = None) -> CellWindow:
         """The part of the map (and of `over`) around x, y [m] that is planned on: the seen ground of 5 x 5 steps of
@@ -170,11 +174,11 @@ class MapMirror:
             raise MapError(EMPTY)
         if not all(map(math.isfinite, xy)):
             return CellWindow(0, 0, 0, 0)
-        row, col = (round(v / self.resolution) // STEP - 2 for v in (xy[1], xy[0]))
-        around = CellWindow(row * STEP, col * STEP, 5 * STEP, 5 * STEP)
+        row, col = (round(v / self.resolution) // VIEW_STEP - 2 for v in (xy[1], xy[0]))
+        around = CellWindow(row * VIEW_STEP, col * VIEW_STEP, 5 * VIEW_STEP, 5 * VIEW_STEP)
         # What was seen elsewhere must not widen it: in a street with corners all of the square would be planned on.
         keys = list(self._within(around))
-        seen = _window(np.array(keys, np.int64), SIDE) if keys else None
+        seen = _window(np.array(keys, np.int64), TILE_SIDE) if keys else None
         if over is not None:
             on_top = window_of(over).on_tiles().within(around)
             if on_top.rows and on_top.cols:
@@ -183,17 +187,18 @@ class MapMirror:
 
     def read(self, window: CellWindow, names: Sequence[str] = PATCH_LAYERS) -> MapPatch:
         """Layers of the cells of a window. Raises MapError where it is too large for one patch."""
-        if window.rows * window.cols > LARGEST:
+        if window.rows * window.cols > LARGEST_PATCH:
             sides = " x ".join(f"{n * self.resolution:.0f}" for n in (window.rows, window.cols))
             raise MapError(f"the map is too large to be read as a whole: {sides} m")
         at = [PATCH_LAYERS.index(name) for name in names]
         layers = {
-            name: np.full((window.rows, window.cols), _UNSEEN[k]) for name, k in zip(names, at, strict=True)
+            name: np.full((window.rows, window.cols), _UNSEEN_CELL[k])
+            for name, k in zip(names, at, strict=True)
         }
         for key in self._within(window):
             tile = self.tile(key)
             assert tile is not None
-            here = CellWindow(key[0] * SIDE, key[1] * SIDE, SIDE, SIDE)
+            here = CellWindow(key[0] * TILE_SIDE, key[1] * TILE_SIDE, TILE_SIDE, TILE_SIDE)
             both = here.within(window)
             there, these = both.seen_from(window), both.seen_from(here)
             for name, k in zip(names, at, strict=True):
@@ -207,7 +212,7 @@ class MapMirror:
 
     def windows(self) -> list[CellWindow]:
         """Few windows that hold everything received. Raises MapError before the first patch."""
-        return list(blocks_of(self._keys(), SIDE))
+        return list(blocks_of(self._keys(), TILE_SIDE))
 
     def grid(self, window: CellWindow | None = None, over: MapPatch | None = None) -> ElevationGrid:
         """A window for planning with `over` laid on it; None: the whole map. Unknown heights are filled from the
@@ -252,8 +257,10 @@ class MapMirror:
 
 
 def fresh_tile() -> NDArray[np.float32]:
-    """(5, SIDE, SIDE) of which nothing was seen."""
-    return np.ascontiguousarray(np.broadcast_to(_UNSEEN[:, None, None], (len(_UNSEEN), SIDE, SIDE)))
+    """(5, TILE_SIDE, TILE_SIDE) of which nothing was seen."""
+    return np.ascontiguousarray(
+        np.broadcast_to(_UNSEEN_CELL[:, None, None], (len(_UNSEEN_CELL), TILE_SIDE, TILE_SIDE))
+    )
 
 
 def window_of(patch: MapPatch) -> CellWindow:

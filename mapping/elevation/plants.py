@@ -22,59 +22,59 @@ from numpy.typing import NDArray
 from mapping.elevation.tiles import LIDAR, PLANTS, UNKNOWN
 from mapping.elevation.walk import first_cell, next_cell
 
-REACH = 2.3
+PLANT_REACH = 2.3
 """[m] around the LiDAR in which plants are looked for."""
-TALLEST = 0.45
+TALLEST_PLANT = 0.45
 """[m] above the ground: what is taller is no grass."""
-LAYER, LAYERS = 0.05, 16
+LAYER_HEIGHT, LAYER_COUNT = 0.05, 16
 """Height [m] and number of the voxels of a column. A voxel is as wide as a cell of the map."""
-BELOW = 0.75
+VOLUME_DEPTH = 0.75
 """[m] from the LiDAR down to the lowest voxel."""
-FOOT = 0.05
+FOOT_HEIGHT = 0.05
 """[m] above the ground up to which a ray may have met the ground."""
-BLOCK = 8
+BLOCK_SIDE = 8
 """Cells of the side of the squares whose lowest ground is compared."""
-BAND = 0.05
+GROUND_BAND = 0.05
 """[m] above the lowest ground around that is ground, too."""
-EVEN = 0.04
+EVEN_RISE = 0.04
 """[m] that the ground of neighbouring squares may differ by: on slopes and beside kerbs nothing is taken for plants."""
 GROUND_CELLS = 12
 """Cells of ground that must be known around."""
-DENSITY = (1.2, 8.0)
+LEAF_DENSITY = (1.2, 8.0)
 """Leaves per metre of way [1/m] in a column of plants: less is the scatter behind an edge, more is solid."""
-SOLID = 20.0
+SOLID_DENSITY = 20.0
 """[1/m] from which a voxel is solid: a surface stops all rays on half a voxel."""
-WAY, STOPS = 0.15, 2.0
+LEAST_WAY, LEAST_STOPS = 0.15, 2.0
 """[m] of rays through a voxel, and rays that stopped in it, that tell of it."""
-FEW = 4.0
+SOLID_STOPS = 4.0
 """Rays that stopped in a voxel that is called solid."""
 AT_ONCE = 10.0
 """Stops in a voxel that make it solid if they are too dense for leaves. If one scan brings them, the voxel is solid
-for HOLD: a thing that moves must leave nothing behind that looks like leaves."""
-HOLD = 5000
+for HOLD_TIME: a thing that moves must leave nothing behind that looks like leaves."""
+HOLD_TIME = 5000
 """[ms] for which such a voxel is solid."""
-SHARE = 0.34
+EMPTY_SHARE = 0.34
 """Of a column's layers that may be empty, or not known."""
-WIDTH, FILLED = 0.3, 0.9
+DISC_WIDTH, FILLED_SHARE = 0.3, 0.9
 """Width of a disc [m], and share of its columns that must be leafy where plants begin: a fence is not so wide in
 every direction."""
-BROAD = 0.5
+HIGH_SHARE = 0.5
 """Share of such a disc that must be high at all: rays past walls, posts and bars are not counted."""
-RINGS = 2
+BORDER_RINGS = 2
 """Cells around such discs that are plants too, if they are neither solid nor empty: the border of a clump does not
 follow the cells."""
-MOST = 5.0
+HALVING_WAY = 5.0
 """[m] of way in a voxel from which on old rays count half: a box that was put there shows within a second."""
-SECTORS = 128
-MARGIN = 0.2
+SECTOR_COUNT = 128
+MOTION_MARGIN = 0.2
 """[m] that the robot moves at most between two looks."""
 EMPTY, LEAFY, HARD, LOOSE = 0, 1, 2, 3
 """Of a column: nothing known, or no leaves; leaves; something solid; a few leaves."""
 
 
 class Rays(NamedTuple):
-    """Where rays of a scan count: nearest and farthest [m] from the LiDAR, by sector (SECTORS,), and the highest [m]
-    in `map`."""
+    """Where rays of a scan count: nearest and farthest [m] from the LiDAR, by sector (SECTOR_COUNT,), and the highest
+    [m] in `map`."""
 
     near: NDArray[np.float64]
     far: NDArray[np.float64]
@@ -87,10 +87,10 @@ class PlantVolume:
 
     def __init__(self, resolution: float) -> None:
         self.resolution = resolution
-        self.reach = int(REACH / resolution)
+        self.reach = int(PLANT_REACH / resolution)
         """Cells."""
-        n = 1 << (2 * self.reach + 2 * math.ceil(MARGIN / resolution)).bit_length()
-        self._shape = n, n, LAYERS
+        n = 1 << (2 * self.reach + 2 * math.ceil(MOTION_MARGIN / resolution)).bit_length()
+        self._shape = n, n, LAYER_COUNT
         self.rays: Rays | None = None
         """None where nothing is high: rays are not looked at."""
         self._made = False
@@ -125,7 +125,7 @@ class PlantVolume:
         other side."""
         n = self._shape[0]
         row, col = (math.floor(v / self.resolution + 0.5) - n // 2 for v in (sensor[1], sensor[0]))
-        layer = math.floor((sensor[2] - BELOW) / LAYER)
+        layer = math.floor((sensor[2] - VOLUME_DEPTH) / LAYER_HEIGHT)
         was = self._corner
         if was is not None and abs(layer - was[2]) < 2:
             layer = was[2]  # a body that bobs
@@ -169,8 +169,8 @@ class PlantVolume:
 
         height, count, source: of the cells, see `tiles.CELL`. `settled`: points of an established cell."""
         ground, high, found = high_cells(height, count, source, above, settled)
-        radius = 0.5 * WIDTH / self.resolution
-        if found == 0 or not drop_thin(high, source, radius, BROAD):
+        radius = 0.5 * DISC_WIDTH / self.resolution
+        if found == 0 or not drop_thin(high, source, radius, HIGH_SHARE):
             self.rays = None
             return None
         if self.rays is None:
@@ -180,18 +180,18 @@ class PlantVolume:
         near, far, top = sectors_of(high, ground, *corner, sensor, self.resolution)
         self.rays = Rays(near, far, float(top))
         state, tops = columns(high, ground, *corner, self._corner[2], now, self.way, self.stops, self.until)
-        return spread(state, radius, FILLED), ground, tops
+        return spread(state, radius, FILLED_SHARE), ground, tops
 
 
 @njit(cache=True)
 def high_cells(height, count, source, above, settled):  # pragma: no cover - compiled
-    """Ground around each cell (rows, cols) [m]; which cells are higher by `above` to TALLEST or were called plants;
-    their number.
+    """Ground around each cell (rows, cols) [m]; which cells are higher by `above` to TALLEST_PLANT or were called
+    plants; their number.
 
-    The ground is the mean of what lies within BAND of the lowest cell in the surrounding squares of BLOCK cells. It
-    is NaN where little is known or squares differ."""
+    The ground is the mean of what lies within GROUND_BAND of the lowest cell in the surrounding squares of BLOCK_SIDE
+    cells. It is NaN where little is known or squares differ."""
     rows, cols = height.shape
-    nr, nc = (rows + BLOCK - 1) // BLOCK, (cols + BLOCK - 1) // BLOCK
+    nr, nc = (rows + BLOCK_SIDE - 1) // BLOCK_SIDE, (cols + BLOCK_SIDE - 1) // BLOCK_SIDE
     least = np.full((nr + 2, nc + 2), np.inf, np.float32)
     most = np.float32(-np.inf)
     lowest = np.float32(np.inf)
@@ -201,8 +201,8 @@ def high_cells(height, count, source, above, settled):  # pragma: no cover - com
             h = height[r, c]
             if source[r, c] == UNKNOWN or (source[r, c] == LIDAR and count[r, c] < settled):
                 continue
-            b = least[1 + r // BLOCK, 1 + c // BLOCK]
-            least[1 + r // BLOCK, 1 + c // BLOCK] = h if h < b else b
+            b = least[1 + r // BLOCK_SIDE, 1 + c // BLOCK_SIDE]
+            least[1 + r // BLOCK_SIDE, 1 + c // BLOCK_SIDE] = h if h < b else b
             most = h if h > most else most
             lowest = h if h < lowest else lowest
             plants += source[r, c] == PLANTS
@@ -220,11 +220,11 @@ def high_cells(height, count, source, above, settled):  # pragma: no cover - com
         for c in range(cols):
             if source[r, c] == UNKNOWN or (source[r, c] == LIDAR and count[r, c] < settled):
                 continue
-            a, b = 1 + r // BLOCK, 1 + c // BLOCK
+            a, b = 1 + r // BLOCK_SIDE, 1 + c // BLOCK_SIDE
             # of the squares around, those whose ground it is
             for i in range(a - 1, a + 2):
                 for j in range(b - 1, b + 2):
-                    if height[r, c] < around[i, j] + np.float32(BAND):
+                    if height[r, c] < around[i, j] + np.float32(GROUND_BAND):
                         total[i, j] += height[r, c]
                         cells[i, j] += 1
     level = np.full((nr + 2, nc + 2), np.nan, np.float32)
@@ -235,17 +235,17 @@ def high_cells(height, count, source, above, settled):  # pragma: no cover - com
     found = 0
     for r in range(rows):
         for c in range(cols):
-            a, b = 1 + r // BLOCK, 1 + c // BLOCK
+            a, b = 1 + r // BLOCK_SIDE, 1 + c // BLOCK_SIDE
             g = level[a, b]
             ground[r, c] = g
             if source[r, c] == PLANTS:
                 ground[r, c] = height[r, c]
                 high[r, c] = True
-            elif source[r, c] == LIDAR and g + above < height[r, c] < g + TALLEST:
+            elif source[r, c] == LIDAR and g + above < height[r, c] < g + TALLEST_PLANT:
                 even = True
                 for i in range(a - 1, a + 2):
                     for j in range(b - 1, b + 2):
-                        even &= not abs(level[i, j] - g) > EVEN
+                        even &= not abs(level[i, j] - g) > EVEN_RISE
                 high[r, c] = even
             found += high[r, c]
     return ground, high, found
@@ -302,13 +302,13 @@ def drop_thin(high, source, radius, share):  # pragma: no cover - compiled
 def sector(dx, dy):  # pragma: no cover - compiled
     """Of a direction in the plane: sectors are as wide as 1.8 to 3.6 deg, and take no trigonometry."""
     a = dy / (abs(dx) + abs(dy))
-    return math.floor((a if dx >= 0.0 else 2.0 - a) * (SECTORS // 4)) % SECTORS
+    return math.floor((a if dx >= 0.0 else 2.0 - a) * (SECTOR_COUNT // 4)) % SECTOR_COUNT
 
 
 @njit(cache=True)
 def sectors_of(high, ground, row, col, sensor, resolution):  # pragma: no cover - compiled
     """See `Rays`: `high` cells (rows, cols) from lattice `row` and `col` on, seen from `sensor` (3,) [m]."""
-    near, far = np.full(SECTORS, np.inf), np.zeros(SECTORS)
+    near, far = np.full(SECTOR_COUNT, np.inf), np.zeros(SECTOR_COUNT)
     top = -np.inf
     for r in range(high.shape[0]):
         for c in range(high.shape[1]):
@@ -318,14 +318,14 @@ def sectors_of(high, ground, row, col, sensor, resolution):  # pragma: no cover 
             away = math.sqrt(dx * dx + dy * dy)
             if away < 2.0 * resolution:
                 continue
-            top = max(top, ground[r, c] + TALLEST + LAYER)
+            top = max(top, ground[r, c] + TALLEST_PLANT + LAYER_HEIGHT)
             # as wide as the cell, and as far as the robot moves until the next look
-            wide = 1 + math.ceil((resolution + 0.25 * MARGIN) / away * SECTORS / 4.0)
+            wide = 1 + math.ceil((resolution + 0.25 * MOTION_MARGIN) / away * SECTOR_COUNT / 4.0)
             at = sector(dx, dy)
             for k in range(at - wide, at + wide + 1):
-                k %= SECTORS
-                near[k] = min(near[k], away - MARGIN)
-                far[k] = max(far[k], away + MARGIN)
+                k %= SECTOR_COUNT
+                near[k] = min(near[k], away - MOTION_MARGIN)
+                far[k] = max(far[k], away + MOTION_MARGIN)
     return near, far, top
 
 
@@ -337,7 +337,7 @@ def add_rays(
     scratch, one for each voxel."""
     n, _, layers = way.shape
     mask, up = n - 1, layers - 1
-    inv, thick = 1.0 / resolution, 1.0 / LAYER
+    inv, thick = 1.0 / resolution, 1.0 / LAYER_HEIGHT
     flat_way, flat_stops, flat_until = way.ravel(), stops.ravel(), until.ravel()
     new_way, new_stops = way_now.ravel(), stops_now.ravel()
     k = 0
@@ -387,13 +387,13 @@ def add_rays(
                     k += 1
                 new_stops[v] += 1.0
     for v in met[:k]:
-        if new_stops[v] >= AT_ONCE and new_stops[v] > SOLID * new_way[v]:
-            flat_until[v] = now + HOLD
+        if new_stops[v] >= AT_ONCE and new_stops[v] > SOLID_DENSITY * new_way[v]:
+            flat_until[v] = now + HOLD_TIME
             flat_way[v] = flat_stops[v] = 0.0
         else:
             flat_way[v] += new_way[v]
             flat_stops[v] += new_stops[v]
-            if flat_way[v] > MOST:
+            if flat_way[v] > HALVING_WAY:
                 flat_way[v] *= np.float32(0.5)
                 flat_stops[v] *= np.float32(0.5)
         new_way[v] = new_stops[v] = 0.0
@@ -411,41 +411,41 @@ def columns(high, ground, row, col, layer, now, way, stops, until):  # pragma: n
             if not high[r, c]:
                 continue
             i, j = (row + r) & mask, (col + c) & mask
-            first = max(layer, math.floor((ground[r, c] + FOOT) / LAYER + 0.5))
-            last = min(layer + layers - 1, math.floor((ground[r, c] + TALLEST) / LAYER))
+            first = max(layer, math.floor((ground[r, c] + FOOT_HEIGHT) / LAYER_HEIGHT + 0.5))
+            last = min(layer + layers - 1, math.floor((ground[r, c] + TALLEST_PLANT) / LAYER_HEIGHT))
             top = first - 1
             hard = False
             for k in range(first, last + 1):
                 s, w = stops[i, j, k & up], way[i, j, k & up]
-                top = k if s >= STOPS else top
-                hard |= until[i, j, k & up] > now or (s >= FEW and s > SOLID * w)
-                hard |= s >= AT_ONCE and s > DENSITY[1] * w
+                top = k if s >= LEAST_STOPS else top
+                hard |= until[i, j, k & up] > now or (s >= SOLID_STOPS and s > SOLID_DENSITY * w)
+                hard |= s >= AT_ONCE and s > LEAF_DENSITY[1] * w
             leafy = empty = unknown = 0
             dense = False
             for k in range(first, top + 1):
                 s, w = stops[i, j, k & up], way[i, j, k & up]
-                dense |= s >= FEW and s > DENSITY[1] * w
-                if w < WAY:
+                dense |= s >= SOLID_STOPS and s > LEAF_DENSITY[1] * w
+                if w < LEAST_WAY:
                     unknown += 1
-                elif s < STOPS or s < DENSITY[0] * w:
+                elif s < LEAST_STOPS or s < LEAF_DENSITY[0] * w:
                     empty += 1
-                elif s <= DENSITY[1] * w:
+                elif s <= LEAF_DENSITY[1] * w:
                     leafy += 1
             every = top + 1 - first
             if hard:
                 state[r, c] = HARD
-            elif leafy >= 2 and empty <= SHARE * every and unknown <= SHARE * every:
+            elif leafy >= 2 and empty <= EMPTY_SHARE * every and unknown <= EMPTY_SHARE * every:
                 state[r, c] = LEAFY
             elif every > 0 and not dense and empty + unknown < every:
                 state[r, c] = LOOSE
-            tops[r, c] = (top + 1) * LAYER
+            tops[r, c] = (top + 1) * LAYER_HEIGHT
     return state, tops
 
 
 @njit(cache=True)
 def spread(state, radius, filled):  # pragma: no cover - compiled
     """Keep LEAFY in `state` (rows, cols) only in discs of `radius` cells of which the share `filled` is leafy, and in
-    RINGS around them where something loose stands. HARD stays, the rest becomes EMPTY."""
+    BORDER_RINGS around them where something loose stands. HARD stays, the rest becomes EMPTY."""
     rows, cols = state.shape
     inside, _ = in_discs(state == LEAFY, radius, filled)
     out = np.zeros((rows, cols), np.uint8)
@@ -455,7 +455,7 @@ def spread(state, radius, filled):  # pragma: no cover - compiled
                 out[r, c] = HARD
             elif inside[r, c]:
                 out[r, c] = LEAFY
-    for _ in range(RINGS):
+    for _ in range(BORDER_RINGS):
         was = out.copy()
         for r in range(1, rows - 1):
             for c in range(1, cols - 1):

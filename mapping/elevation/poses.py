@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hal.rotation import rotation
 from mapping.elevation.exchange import MapError
-from mapping.grid import FARTHEST
+from mapping.grid import FARTHEST_PLACE
 
-FASTEST, SLACK = 5.0, 3.0
+POSE_SPEED, POSE_SLACK = 5.0, 3.0
 """Twice the speed of our robots [m/s], and the largest correction of an odometry [m]: no pose lies further from the
 one before."""
 
@@ -27,8 +27,8 @@ def checked_pose(
     far, norm = (math.hypot(*place.tolist()), math.hypot(*q.tolist())) if shaped else (math.nan, math.nan)
     if not math.isfinite(far + norm):
         raise MapError(f"pose must be finite (3,) and (4,), got {place} and {q}")
-    if far > FARTHEST:
-        raise MapError(f"pose {place} is more than {FARTHEST / 1000:.0f} km from the origin of `map`")
+    if far > FARTHEST_PLACE:
+        raise MapError(f"pose {place} is more than {FARTHEST_PLACE / 1000:.0f} km from the origin of `map`")
     if norm < 0.5:
         raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
     return rotation(q / norm), place
@@ -61,7 +61,7 @@ class Course:
         if self._last is not None:
             before, last = self._last
             far = float(np.linalg.norm(place - last))
-            if far > SLACK + FASTEST * max(0, stamp - before) / 1e9:
+            if far > POSE_SLACK + POSE_SPEED * max(0, stamp - before) / 1e9:
                 self.warning = (
                     f"the pose jumped {far:.0f} m: set it while the robot stands, or restart the stack"
                 )

@@ -17,18 +17,18 @@ from mapping.elevation.fusion import DEPTH, TOP, WEIGHT
 from mapping.elevation.tile_kernels import base_of
 from mapping.elevation.tiles import LIDAR, PRIOR, TileStore
 
-ENOUGH = 3000
+ENOUGH_CELLS = 3000
 """Cells of the prior map that are compared before the verdict is final: later on the world may have changed."""
-FEW = 1000
+FEW_CELLS = 1000
 """Cells below which there is no verdict."""
-STANDS = 0.1
+STANDING_HEIGHT = 0.1
 """What is this much higher than a cell of the prior map and its neighbours [m] contradicts it."""
-KNOWN = 6
+KNOWN_CELLS = 6
 """Cells of the 3 x 3 that must be known for a comparison: where a wall's foot was never seen it may stand."""
-BESIDE = 2
+CELLS_BESIDE = 2
 """Cells within which the same scan must contradict once more. Behind the upper edge of a wall single points lie in
 the air, where a beam meets both the edge and what is behind it: in lanes they were up to 1.3 % of the cells."""
-MISFIT = 0.006
+MISFIT_SHARE = 0.006
 """Share of such cells of a map that does not fit."""
 
 
@@ -42,12 +42,12 @@ class PriorCheck:
     @property
     def done(self) -> bool:
         """The verdict is final."""
-        return self.tested >= ENOUGH
+        return self.tested >= ENOUGH_CELLS
 
     @property
     def warning(self) -> str:
         """Words for the operator; empty while nothing speaks against the map."""
-        if self.tested < FEW or self.higher <= MISFIT * self.tested:
+        if self.tested < FEW_CELLS or self.higher <= MISFIT_SHARE * self.tested:
             return ""
         return (
             f"the prior map does not fit: things stand on {self.higher / self.tested:.0%} of the ground it knows; "
@@ -97,10 +97,10 @@ def _compare(which, sums, cells, tiles, directory, first, shift, met):  # pragma
                     h = cells[base + ((a & mask) << shift) + (b & mask)].height
                     known += h == h
                     top = h if h > top else top
-        if known < KNOWN:
+        if known < KNOWN_CELLS:
             continue
         z = sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT]
-        if z - top > STANDS:
+        if z - top > STANDING_HEIGHT:
             higher[high, 0], higher[high, 1], higher[high, 2] = i, j, index
             high += 1
         else:
@@ -110,7 +110,7 @@ def _compare(which, sums, cells, tiles, directory, first, shift, met):  # pragma
     for s in range(high):
         for k in range(high):
             off = max(abs(higher[s, 0] - higher[k, 0]), abs(higher[s, 1] - higher[k, 1]))
-            if 0 < off <= BESIDE:
+            if 0 < off <= CELLS_BESIDE:
                 met[n] = higher[s, 2]
                 n += 1
                 standing += 1

@@ -14,14 +14,14 @@ from hal.safety.monitors import HOLE_WIDTH
 from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import HOLE, LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.exchange import HOLE, LARGEST_PATCH, PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.holes import WIDE, Crossing, mark_holes
 from mapping.elevation.mirror import blocks_of
-from mapping.elevation.plants import TALLEST
+from mapping.elevation.plants import TALLEST_PLANT
 from mapping.elevation.tiles import ASSUMED, BRIDGED, PLANTS, Layers, TileStore
 from mapping.elevation.touched import TouchedWalls
 
-_BLOCK = 12
+_BLOCK_TILES = 12
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
 10 m range touches, so that a driving robot pays for the margin around a block once."""
 
@@ -49,7 +49,7 @@ class MapReader:
         ]  # fmt: skip
         self._floats, self._bytes = _Scratch(np.float32), _Scratch(np.uint8)
         self._result = _Scratch(np.float32)
-        self._border = int(bridging.RIM / p.resolution) + 2
+        self._border = int(bridging.RIM_WIDTH / p.resolution) + 2
         """Cells around the tiles that are read with them: more than the rim of a hole is wide."""
         self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
 
@@ -99,7 +99,7 @@ class MapReader:
         tiles = s.tiles[slots].astype(np.int64)
         bounds = s.bounds()
         assert bounds is not None
-        block = (tiles - tiles.min(axis=0)) // _BLOCK
+        block = (tiles - tiles.min(axis=0)) // _BLOCK_TILES
         for place in np.unique(block, axis=0):
             if sum(patch.layers["elevation"].size for patch in patches) >= most:
                 break
@@ -116,11 +116,11 @@ class MapReader:
         return patches
 
     def read_all(self, stamp: int, epoch: int) -> MapPatch:
-        """The whole map. Raises MapError while it is empty, and where it is larger than LARGEST."""
+        """The whole map. Raises MapError while it is empty, and where it is larger than LARGEST_PATCH."""
         box = self.store.bounds()
         if box is None:
             raise MapError(EMPTY)
-        if box[2] * box[3] > LARGEST:
+        if box[2] * box[3] > LARGEST_PATCH:
             sides = " x ".join(f"{n * self.params.resolution:.0f}" for n in box[2:])
             raise MapError(f"the map is too large to be read as a whole: {sides} m")
         return self.read(box, stamp, epoch)
@@ -174,7 +174,7 @@ def _compose(height, variance, upper, source, trusted, top, left, sigma2, out): 
             out[2, r, c] = trusted[a, b]
             if s == PLANTS:
                 out[3, r, c] = min(
-                    u, h + np.float32(TALLEST)
+                    u, h + np.float32(TALLEST_PLANT)
                 )  # no ray told its top where the map came back from a reader
             else:
                 out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)

@@ -11,7 +11,7 @@ from hal.types import MountedLidar
 LEAST_BEAM_SIGMA = 1e-4
 """A beam has some width, whatever a specification says [rad]."""
 EVERYWHERE = (-inf, inf, -inf, inf)
-AHEAD = (0.05, 1.85, -1.2, 1.2)
+GROUND_AHEAD = (0.05, 1.85, -1.2, 1.2)
 """Ground that the head LiDAR maps: up to 1.5 m before the nose. Its noise of 2 cm is too much for the rest."""
 
 
@@ -39,7 +39,7 @@ class Sensor:
             lidar.mount.translation,
             spec.range_sigma,
             max(spec.angle_sigma, LEAST_BEAM_SIGMA),
-            EVERYWHERE if main else AHEAD,
+            EVERYWHERE if main else GROUND_AHEAD,
             main,
         )
 

@@ -47,7 +47,7 @@ streak: scans in a row that said `alt`; passes: clean-ups that looked through th
 PRIOR = -1
 """`seen` of a cell that comes from a prior map and was not seen since."""
 
-FRESH = np.array([(np.nan, np.nan, np.nan, np.nan, np.inf, 0, 0, 0, UNKNOWN, 0, 0)], dtype=CELL)[0]
+FRESH_CELL = np.array([(np.nan, np.nan, np.nan, np.nan, np.inf, 0, 0, 0, UNKNOWN, 0, 0)], dtype=CELL)[0]
 
 SENT = np.dtype([("height", "<f4"), ("upper", "<f4"), ("state", "u1")])
 """What the last delta said about a cell."""
@@ -63,7 +63,7 @@ TRUSTED_SENT = 16
 SAVED = ("height", "variance", "below", "upper", "count", "source")
 """Fields that make up a stored map; the others start fresh."""
 
-WIDEST = 2048
+WIDEST_MAP = 2048
 """Tile rows or columns that a map may span: 5 km with tiles of 64 cells of 0.04 m. Anything wider is an input error."""
 
 
@@ -197,7 +197,7 @@ class TileStore:
 
     def _take_back(self, row: int, col: int, slot: int) -> None:
         here, record = self._span(slot), self._record
-        record["cells"], record["sent"], record["level"] = FRESH, FRESH_SENT, np.nan
+        record["cells"], record["sent"], record["level"] = FRESH_CELL, FRESH_SENT, np.nan
         self.shelf.take((row, col), record)
         del self._away[row, col]
         self.cells[here], self.sent[here] = record["cells"][0], record["sent"][0]
@@ -213,7 +213,7 @@ class TileStore:
 
     def cover(self, row_lo: int, col_lo: int, row_hi: int, col_hi: int) -> None:
         """Grow the directory so that it holds these tile rows and columns (both ends included). Raises MapError
-        beyond WIDEST."""
+        beyond WIDEST_MAP."""
         if not self.used and self.directory.size == 1:  # the map begins where the robot is, not at the origin
             self.first = np.array([row_lo, col_lo], dtype=np.int64)
         r0, c0 = int(self.first[0]), int(self.first[1])
@@ -223,9 +223,9 @@ class TileStore:
         # a margin of 8 tiles each time: a moving robot grows the directory rarely
         nr0, nr1 = (r0 if row_lo >= r0 else row_lo - 8), (r1 if row_hi <= r1 else row_hi + 8)
         nc0, nc1 = (c0 if col_lo >= c0 else col_lo - 8), (c1 if col_hi <= c1 else col_hi + 8)
-        if max(nr1 - nr0, nc1 - nc0) > WIDEST:
+        if max(nr1 - nr0, nc1 - nc0) > WIDEST_MAP:
             raise MapError(
-                f"tile ({row_lo}, {col_lo}) is more than {WIDEST} tiles away from what the map holds: is the "
+                f"tile ({row_lo}, {col_lo}) is more than {WIDEST_MAP} tiles away from what the map holds: is the "
                 "pose right?"
             )
         grown = np.full((nr1 - nr0 + 1, nc1 - nc0 + 1), -1, dtype=np.int32)
@@ -251,7 +251,7 @@ class TileStore:
         self.tiles[slot] = row, col
         self._enter(row, col, slot)
         here = self._span(slot)
-        self.cells[here], self.sent[here], self.level[here] = FRESH, FRESH_SENT, np.nan
+        self.cells[here], self.sent[here], self.level[here] = FRESH_CELL, FRESH_SENT, np.nan
         if held == AWAY:
             self._take_back(row, col, slot)
         return slot
@@ -294,7 +294,7 @@ class TileStore:
         slot = self.slot(row, col)
         if slot >= 0:
             return self.tile(slot)
-        self._record["cells"] = FRESH
+        self._record["cells"] = FRESH_CELL
         self.shelf.get((row, col), self._record)
         return self._record["cells"].reshape(self.size, self.size)
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mapping.elevation.exchange import TOUCHED, MapPatch
 from mapping.elevation.tiles import TileStore
 
-DEPTH = 0.10
+WALL_DEPTH = 0.10
 """[m] along the motion that met it: two cells and a half, so that it has no hole in any direction."""
-RISE = 0.2
+WALL_RISE = 0.2
 """[m] above base_link: higher than any step."""
 
 
@@ -47,13 +47,13 @@ class TouchedWalls:
         of base_link."""
         x, y, z = place
         c, s = math.cos(yaw), math.sin(yaw)
-        reach = math.hypot(DEPTH, self._half)
+        reach = math.hypot(WALL_DEPTH, self._half)
         low, high = (np.floor((np.array([y, x]) + sign * reach) / resolution).astype(int) for sign in (-1, 1))
         i, j = (v.ravel() for v in np.mgrid[low[0] : high[0] + 2, low[1] : high[1] + 2])
         dx, dy = j * resolution - x, i * resolution - y
         along, across = c * dx + s * dy, c * dy - s * dx
-        inside = (along >= 0.0) & (along <= DEPTH) & (np.abs(across) <= self._half)
-        height = np.full(np.count_nonzero(inside), z + RISE, np.float32)
+        inside = (along >= 0.0) & (along <= WALL_DEPTH) & (np.abs(across) <= self._half)
+        height = np.full(np.count_nonzero(inside), z + WALL_RISE, np.float32)
         self._enter(
             store, _Wall(i[inside].astype(np.int64), j[inside].astype(np.int64), height, now + self._fade)
         )

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-LOW = 0.25
+LOW_RAY = 0.25
 """A ray this near above the nearest known ground [m] leaves no room for a wall."""
-SLIT = 0.24
+SLIT_WIDTH = 0.24
 """Cells without a ray in a gap up to this width [m] count as the cells beside them: behind a crest the rays begin a
 bit farther."""
 
@@ -26,7 +26,7 @@ def virtual_ground(
 
     filled: heights as of `fill_unknown` [m]; upper: bounds [m], NaN where no ray tells.
     """
-    return _virtual(filled, trusted, upper, LOW, int(SLIT / resolution + 1e-6))
+    return _virtual(filled, trusted, upper, LOW_RAY, int(SLIT_WIDTH / resolution + 1e-6))
 
 
 @njit(cache=True)

@@ -13,9 +13,9 @@ from numba import njit
 from mapping.elevation.tiles import PLANTS
 from mapping.elevation.walk import first_cell, next_cell
 
-RAYS = 2
+SETTLED_RAYS = 2
 """Rays of one scan that must look through a settled cell: a mixed pixel's ray seems to cross what it grazed."""
-COMPANY = 0.05
+COMPANY_BAND = 0.05
 """Ground under something that left agrees with the ground around it within this [m]."""
 HANGING_RAYS = 6
 """Rays of one scan that must pass deep under a surface that is still seen: a beam or a lintel hangs there."""
@@ -28,7 +28,9 @@ def _stands_alone(cells, index, height, shift):  # pragma: no cover
     i, j = (index >> shift) & (size - 1), index & (size - 1)
     for a in range(max(i - 1, 0), min(i + 2, size)):
         for b in range(max(j - 1, 0), min(j + 2, size)):
-            if (a != i or b != j) and cells[index + ((a - i) << shift) + (b - j)].height > height - COMPANY:
+            if (a != i or b != j) and cells[
+                index + ((a - i) << shift) + (b - j)
+            ].height > height - COMPANY_BAND:
                 return False
     return True
 
@@ -130,7 +132,7 @@ def _has_company(cells, index, below, shift):  # pragma: no cover
         for b in range(max(j - 1, 0), min(j + 2, size)):
             other = cells[index + ((a - i) << shift) + (b - j)]
             if (a != i or b != j) and (
-                abs(other.height - below) <= COMPANY or abs(other.below - below) <= COMPANY
+                abs(other.height - below) <= COMPANY_BAND or abs(other.below - below) <= COMPANY_BAND
             ):
                 n += 1
     return n >= 3
@@ -148,7 +150,7 @@ def judge(
     removed = 0
     for k in range(n):
         cell = cells[hit[k]]
-        if many[k] < RAYS and cell.count >= settled:
+        if many[k] < SETTLED_RAYS and cell.count >= settled:
             continue
         if cell.passes < 255:
             cell.passes += 1

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
 
-ROUGH = 0.04
+ROUGH_HEIGHT = 0.04
 """Contacts this far off their common plane [m] stand on steps or rubble: no plane, only the wheels' own spots."""
 WHEEL_SPOT = 0.10
 """Radius of ground known around one wheel contact [m]."""
 MAX_SLOPE = 0.7
 """Steeper planes come from a wheel on a kerb, not from ground."""
-CONTRADICTED = 0.25
+CONTRADICTED_SHARE = 0.25
 """Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
 
 
@@ -58,7 +58,7 @@ def support_patch(
     local = contacts - mean
     slope = np.linalg.lstsq(local[:, :2], local[:, 2], rcond=0.05)[0]
     off = np.abs(local[:, 2] - local[:, :2] @ slope).max()
-    rough = not plane or len(contacts) < 3 or off > ROUGH or float(np.hypot(*slope)) > MAX_SLOPE
+    rough = not plane or len(contacts) < 3 or off > ROUGH_HEIGHT or float(np.hypot(*slope)) > MAX_SLOPE
     reach = max(half) * 1.5 if radius is None else radius
     lo = np.floor((centre - reach) / resolution).astype(int)
     hi = np.ceil((centre + reach) / resolution).astype(int)
@@ -134,7 +134,7 @@ def carried(store: TileStore, resolution: float, contacts: NDArray[np.float64]) 
     at = store.locate(np.repeat(i, n, axis=1).ravel(), np.tile(j, n).ravel())  # it may grow the pool
     cells = store.cells[at].reshape(len(x), n * n)
     seen = cells["source"] == LIDAR
-    out[out] = ~seen.any(axis=1) | (seen & (np.abs(cells["height"] - z[:, None]) <= ROUGH)).any(axis=1)
+    out[out] = ~seen.any(axis=1) | (seen & (np.abs(cells["height"] - z[:, None]) <= ROUGH_HEIGHT)).any(axis=1)
     return out
 
 
@@ -158,8 +158,8 @@ def enter(
         cell = store.locate(patch.i, patch.j)
         old = store.cells[cell]
         seen = old["source"] == LIDAR
-        off = seen & (np.abs(patch.height - old["height"]) > ROUGH)
-        if np.count_nonzero(off & patch.under) <= CONTRADICTED * np.count_nonzero(seen & patch.under):
+        off = seen & (np.abs(patch.height - old["height"]) > ROUGH_HEIGHT)
+        if np.count_nonzero(off & patch.under) <= CONTRADICTED_SHARE * np.count_nonzero(seen & patch.under):
             break
     take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
     if radius is not None:  # the patch is larger than the body

@@ -13,17 +13,17 @@ from hal.types import NS, Array
 
 WINDOW = NS
 """Time that is looked at [ns]."""
-MOVED, TURNED = 0.4, math.radians(6.0)
+WAY_ERROR, TURN_ERROR = 0.4, math.radians(6.0)
 """Most that wheels on firm ground [m] and a gyro [rad] are off within it."""
 
 
-WAY = 1.0
+JUDGED_WAY = 1.0
 """[m] that wheels roll, over which the distances of the scans are judged."""
-AGREED = 0.9
+AGREED_SHARE = 0.9
 """Share of it over which they must agree again."""
-LEVEL = math.cos(math.radians(5.0))
+LEVEL_COSINE = math.cos(math.radians(5.0))
 """Least cosine of the tilt all along it: on stairs all wheels roll up each riser, which is no way ahead."""
-HELD = 0.25
+HELD_SHARE = 0.25
 """Share of the way of the wheels below which something holds the robot, and all of them spin: that tells no unit."""
 
 
@@ -66,7 +66,7 @@ class Agreement:
             self._off.popleft()
         way = between([off for _, off, _ in self._off])
         turn = abs(math.fsum(off for *_, off in self._off))
-        if not self._row.outside(max(way / MOVED, turn / TURNED)):
+        if not self._row.outside(max(way / WAY_ERROR, turn / TURN_ERROR)):
             return ""
         return self._row.tell(seconds=WINDOW / NS, moved=way, turned=math.degrees(turn))
 
@@ -93,20 +93,20 @@ class Scale:
             self.forget()
             return
         way = float(rolled.mean())
-        if after[2, 2] < LEVEL or way_ahead(before, after) * np.sign(way) < HELD * abs(way):
+        if after[2, 2] < LEVEL_COSINE or way_ahead(before, after) * np.sign(way) < HELD_SHARE * abs(way):
             self._steps.clear()  # a metre of level ground in one piece: between two risers the trunk may be level, too
             return
         step = apart(before, after, rolled) * np.sign(way)  # there and back does not cancel
         self._steps.append((abs(way), step))
         way = math.fsum(way for way, _ in self._steps)
-        while way - self._steps[0][0] > WAY:
+        while way - self._steps[0][0] > JUDGED_WAY:
             way -= self._steps.popleft()[0]
         steps = [off for _, off in self._steps]
         off = between(steps)
         self._sum = self._sum + step if self.words else np.sum(steps, axis=0)
         if SCANS_SCALE.outside(off):
             self.words = SCANS_SCALE.tell(way=way, off=off)
-        elif way > AGREED * WAY and off < 0.5 * SCANS_SCALE.high:
+        elif way > AGREED_SHARE * JUDGED_WAY and off < 0.5 * SCANS_SCALE.high:
             self.words = ""
 
     @property

@@ -21,34 +21,34 @@ from hal.types import Array
 
 PRIOR_OFFSET, PRIOR_TURN, PRIOR_PLACE = 0.05, 0.05, 0.05
 """Standard deviations of offset [s], turn [rad] and place [m] of the mount before anything is measured."""
-MEMORY = 300.0
+MEMORY_SCANS = 300.0
 """Scans of a moving robot after which one counts 1/e."""
-KEPT = 0.1
+KEPT_WEIGHT = 0.1
 """Weight of what was measured before the stamps were shifted: those sweeps were bent by the wrong time. After the
 largest shift they still are."""
-ASSUMED = 30.0
+ASSUMED_COUNT = 30.0
 """Measurements that the assumed noise counts for beside those that were made."""
-CONSECUTIVE = 150_000_000
+CONSECUTIVE_GAP = 150_000_000
 """Two scans that end within this time [ns] follow each other."""
-WAVER = 5e-4
+WAVER_SIGMA = 5e-4
 """Rotation [rad] by which one registration differs from the next beside what its covariance tells."""
-ASKEW, AT_FIRST = np.diag(np.radians([0.25, 0.25, 0.0]) ** 2), 10
+ASKEW_VARIANCE, AT_FIRST = np.diag(np.radians([0.25, 0.25, 0.0]) ** 2), 10
 """The same for roll and pitch [rad^2], base_link, in the first scans of motion. The map of a robot that has only
 stood knows the ground from one attitude, and lies askew once the nose points down. In a lane a registration was 18
 mrad off there; its covariance said 2 mrad."""
-CALM = 0.05
+CALM_RATE = 0.05
 """A slower turn [rad/s] tells nothing."""
-STRAIGHT, STEP = 0.1, 0.02
+STRAIGHT_RATE, STRAIGHT_STEP = 0.1, 0.02
 """Turn rate [rad/s] up to which, and distance from scan to scan [m] from which the robot drives ahead,"""
-SIDEWAYS, SLIP = 0.003, 0.1
+SIDEWAYS_SIGMA, SIDEWAYS_SLIP = 0.003, 0.1
 """by so much to the side [m] and per metre [-], one standard deviation: a skid-steered robot drives up to about a
 degree askew."""
-STRANGE = 5.0
+STRANGE_SIGMAS = 5.0
 """A difference between registration and gyro from scan to scan beyond this [standard deviations] is neither clock nor
 mount."""
-INDEPENDENT = 60
+INDEPENDENT_POINTS = 60
 """Points of a cloud whose errors are independent."""
-GATE, SCALE = 0.15, 0.05
+PLANE_GATE, PLANE_SCALE = 0.15, 0.05
 """Distance from a plane at which a point counts no more, and width of its weight [m]."""
 
 
@@ -64,7 +64,7 @@ class LeastSquares:
 
     def add(self, a: Array, b: Array, c: float, n: float) -> None:
         """Normal equations of `n` measurements r = J x with weight W: J^T W J (k, k), J^T W r (k,), r^T W r."""
-        self.fade(math.exp(-1.0 / MEMORY))
+        self.fade(math.exp(-1.0 / MEMORY_SCANS))
         self._a += a
         self._b += b
         self._c += c
@@ -84,7 +84,7 @@ class LeastSquares:
             inverse = np.linalg.inv(self._a + self._prior)
             x = inverse @ self._b
             left = self._c - 2.0 * float(self._b @ x) + float(x @ self._a @ x)
-            scatter = (max(left, 0.0) + ASSUMED) / (self._n + ASSUMED)
+            scatter = (max(left, 0.0) + ASSUMED_COUNT) / (self._n + ASSUMED_COUNT)
             self._solved = x, np.sqrt(scatter * np.diag(inverse))
         x, sigma = self._solved
         return x.copy(), sigma
@@ -110,26 +110,26 @@ class GyroFit:
         """
         rate = rotation_vector(turned) / seconds
         last, self._last = self._last, (stamp, pose, covariance, rate)
-        if last is None or stamp - last[0] > CONSECUTIVE:
+        if last is None or stamp - last[0] > CONSECUTIVE_GAP:
             return
         change = rate - turned.T @ last[3]
         moved = np.linalg.solve(last[1], pose)
         ahead, aside = float(moved[0, 3]), float(moved[1, 3])
-        if abs(ahead) > STEP and abs(rate[2]) < STRAIGHT:
-            weight = 1.0 / (SIDEWAYS**2 + (SLIP * ahead) ** 2)
+        if abs(ahead) > STRAIGHT_STEP and abs(rate[2]) < STRAIGHT_RATE:
+            weight = 1.0 / (SIDEWAYS_SIGMA**2 + (SIDEWAYS_SLIP * ahead) ** 2)
             row = np.array([0.0, 0.0, 0.0, ahead])
             self._fit.add(weight * np.outer(row, row), weight * aside * row, weight * aside**2, 1.0)
         off = rotation_vector(turned.T @ moved[:3, :3])
-        if np.abs([change, rate]).max() < CALM:
+        if np.abs([change, rate]).max() < CALM_RATE:
             return
         jacobian = np.column_stack([change, -skew(rate * seconds)])
         residual = off + shift * change
-        noise = covariance + turned.T @ last[2] @ turned + WAVER**2 * np.eye(3)
+        noise = covariance + turned.T @ last[2] @ turned + WAVER_SIGMA**2 * np.eye(3)
         if self._moves < AT_FIRST:
-            noise += ASKEW
+            noise += ASKEW_VARIANCE
         self._moves += 1
         usual = noise + (jacobian * self._prior**2) @ jacobian.T
-        if off @ np.linalg.solve(usual, off) > STRANGE**2:
+        if off @ np.linalg.solve(usual, off) > STRANGE_SIGMAS**2:
             return
         weighted = np.linalg.solve(noise, np.column_stack([jacobian, residual]))
         a = jacobian.T @ weighted
@@ -139,7 +139,7 @@ class GyroFit:
         """The stamps are shifted by another time from now on; `wholly`: by all that they are off."""
         self._last = None
         if wholly:
-            self._fit.fade(KEPT)
+            self._fit.fade(KEPT_WEIGHT)
 
     def solve(self) -> tuple[Array, Array]:
         """The unknowns and their standard deviations, (4,) each."""
@@ -178,23 +178,23 @@ class MapFit:
         """Add the result of `VoxelPlanes.fit` at the `pose` that was found with `off`, see `pose`; `sigma` [m]: error
         of a plane."""
         h, b, _, _, inliers, total, _ = fitted
-        if inliers < INDEPENDENT:
+        if inliers < INDEPENDENT_POINTS:
             return
         axes = np.zeros((6, 6))
         axes[:3, :3] = axes[3:, 3:] = pose[:3, :3].T
-        weight = INDEPENDENT / inliers / (sigma**2 + total / inliers)
+        weight = INDEPENDENT_POINTS / inliers / (sigma**2 + total / inliers)
         d = _displacement(linear, angular)
         h = weight * axes @ h @ axes.T
         known = off + shift * d[:, 0]
         b = weight * axes @ b
         c = weight * total + 2.0 * float(known @ b) + float(known @ h @ known)
         b = b + h @ known
-        self._fit.add(d.T @ h @ d, d.T @ b, c, INDEPENDENT)
+        self._fit.add(d.T @ h @ d, d.T @ b, c, INDEPENDENT_POINTS)
 
     def shifted(self, wholly: bool = True) -> None:
         """The stamps are shifted by another time from now on; `wholly`: by all that they are off."""
         if wholly:
-            self._fit.fade(KEPT)
+            self._fit.fade(KEPT_WEIGHT)
 
     def solve(self) -> tuple[Array, Array]:
         """The unknowns and their standard deviations, (7,) each."""

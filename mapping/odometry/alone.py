@@ -26,18 +26,18 @@ from mapping.odometry.own import OwnFilter, OwnPart
 from mapping.odometry.registration.engines import MAP_VOXEL, quality
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
-from mapping.odometry.startup import WINDOW, Before, Startup, start
+from mapping.odometry.startup import START_WINDOW, Before, Startup, start
 from mapping.odometry.types import OdometryConfig, ScanOdometry
 from mapping.odometry.wheels import velocities
 
 ALONE_RANGE, ALONE_VOXEL = 100.0, 0.5
 """Range and voxels of KISS-ICP [m]. Where nothing tells the motion, far walls hold what rings on level ground do not.
 Ten scans of a car at 7 m/s (OS0-8): 0.74 m a scan with these, 0.3 m with points up to 20 m."""
-FITS = 0.7
+FITTING_SHARE = 0.7
 """Share of the points on known planes that lie on them, below which a scan fits nowhere."""
 POSITION_SIGMA, ROTATION_SIGMA = 0.05, math.radians(1.0)
 """Of a pose of KISS-ICP relative to its map: a tenth of its voxels."""
-REPORT = NS // 10
+REPORT_PERIOD = NS // 10
 """[ns] between two poses of wheels and IMU."""
 
 
@@ -123,7 +123,7 @@ class LidarAlone:
         match = quality(self._planes, frame, np.ascontiguousarray(pose))
         place = POSITION_SIGMA**2 + match.born
         self._planes.insert(frame, match.pose, place)
-        fits = match.inliers >= FITS
+        fits = match.inliers >= FITTING_SHARE
         dt = (sweep.end - since) / NS if since else math.inf
         return ScanOdometry(
             stamp=sweep.end,
@@ -180,7 +180,7 @@ class WheelsAlone:
 
     def add_imu(self, sample: ImuSample) -> None:
         """Take an inertial sample."""
-        self._due = self._due or int(sample.stamp) + REPORT
+        self._due = self._due or int(sample.stamp) + REPORT_PERIOD
         self._inbox.take_imu(sample)
 
     def add_joints(self, sample: JointSample) -> None:
@@ -205,7 +205,7 @@ class WheelsAlone:
         while self._due and now >= self._due + self._params.patience * NS:
             if (pose := self._advance(self._due)) is not None:
                 out.append(pose)
-            self._due += REPORT
+            self._due += REPORT_PERIOD
         return out
 
     def warm_up(self) -> None:
@@ -214,7 +214,7 @@ class WheelsAlone:
     def _advance(self, end: int) -> ScanOdometry | None:
         state, inbox = self._filter, self._inbox
         if not self._began:
-            imu_stamp, imu = inbox.imu.between(end - WINDOW, end)
+            imu_stamp, imu = inbox.imu.between(end - START_WINDOW, end)
             if len(imu) < 5 or not self._startup.ready(end, imu_stamp, imu):
                 return None
             joint_stamp, joints = inbox.joints.between(end - NS // 15, end)
@@ -275,7 +275,7 @@ class WheelsAlone:
     def _follow_clock(self, stamp: int) -> None:
         self._filter.move_clock(stamp)
         self._speeds.clear()
-        self._due = stamp + REPORT
+        self._due = stamp + REPORT_PERIOD
 
 
 ALONE: dict[str, Any] = {"imu": LidarAlone, "lidar": WheelsAlone}

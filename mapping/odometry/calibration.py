@@ -12,30 +12,30 @@ from numpy.typing import NDArray
 
 from hal.rotation import cross
 from hal.types import NS, Array, Extrinsics, LidarName
-from mapping.odometry.alignment import GATE, KEPT, SCALE, GyroFit, MapFit
+from mapping.odometry.alignment import KEPT_WEIGHT, PLANE_GATE, PLANE_SCALE, GyroFit, MapFit
 from mapping.odometry.ground_fit import GroundFit
 from mapping.odometry.registration.engines import Engine
 
-CERTAIN, REFINED = 5.0, 3.0
+CERTAIN_SIGMAS, REFINED_SIGMAS = 5.0, 3.0
 """Standard deviations beyond which a difference is believed; it is checked after every scan. Fewer if a clock is
 already corrected."""
-WORTH, SMALL = 0.005, 0.001
-"""Offset [s] from which a clock is corrected, `CERTAIN` times `CLOCK`, and what a correction may leave."""
-DOUBTFUL = 2.0
+CORRECTED_OFFSET, SMALL_OFFSET = 0.005, 0.001
+"""Offset [s] from which a clock is corrected, `CERTAIN_SIGMAS` times `CLOCK_SIGMA`, and what a correction may leave."""
+DOUBTFUL_SIGMAS = 2.0
 """Standard deviations beyond which a clock seems wrong: it is not corrected yet."""
-YOUNG = 5
+YOUNG_MAP = 5
 """Scans in the local map below which nothing is compared with it."""
-KNOWN = 0.001
+KNOWN_SIGMA = 0.001
 """Standard deviation [s] of the main LiDAR's offset from which on the others are compared with its map: until then
 the map is bent."""
-MOUNT = math.radians(1.2), 0.010
+MOUNT_ERROR = math.radians(1.2), 0.010
 """Error of a mount that is told [rad], [m]."""
-SYSTEMATIC, CLOCK = (math.radians(0.15), 0.003), 0.001
+MOUNT_SIGMA, CLOCK_SIGMA = (math.radians(0.15), 0.003), 0.001
 """Systematic error beside the noise, one standard deviation: of mounts [rad], [m], of a clock [s]. Correct clocks in
 simulated physics were found 1.8 to 2.7 ms off at the end of a drive, and at most 4.5 ms on the way. The simulator's
 poses move by the rate at the end of a step of 5 ms, and gyro samples are joined by straight lines."""
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
-TURNING = 0.1
+TURNING_RATE = 0.1
 """Turn rate [rad/s] at which a wrong offset bends it."""
 
 
@@ -87,7 +87,7 @@ class Calibration:
 
         It ended at `stamp` [ns]. The gyro led from `before` (4, 4), at the stamp `since`, to `predicted`.
         Registration says `pose` with `covariance` (6, 6), rotation in `odom` axes."""
-        if engine.scans < YOUNG:
+        if engine.scans < YOUNG_MAP:
             return
         turned = before[:3, :3].T @ predicted[:3, :3]
         noise = pose[:3, :3].T @ covariance[3:, 3:] @ pose[:3, :3]
@@ -96,7 +96,7 @@ class Calibration:
             # The sweeps in the map were bent by the wrong time. Settled surfaces take no more points, so they would
             # stay bent.
             if self._corrects("main"):
-                engine.planes.fade(KEPT)
+                engine.planes.fade(KEPT_WEIGHT)
             for fit in self._beside.values():
                 fit.shifted()
 
@@ -117,20 +117,22 @@ class Calibration:
         for name, cloud in clouds.items():
             self._ground[name].add(cloud, contacts, pose[2, :3])
             # on slopes a map that is off in height is off ahead
-            if name == "main" or engine.scans < YOUNG or not self._ground[name].even:
+            if name == "main" or engine.scans < YOUNG_MAP or not self._ground[name].even:
                 continue
             fit, shift = self._beside[name], self.shift[name] / NS
             there, off = fit.pose(pose, linear, angular, shift)
-            found = engine.planes.fit(np.ascontiguousarray(cloud, np.float64), there, GATE, SCALE)
+            found = engine.planes.fit(np.ascontiguousarray(cloud, np.float64), there, PLANE_GATE, PLANE_SCALE)
             fit.add(found, there, off, linear, angular, engine.sigma, shift)
-            self._settle(name, fit, self._known["main"][1][0] < KNOWN)
+            self._settle(name, fit, self._known["main"][1][0] < KNOWN_SIGMA)
 
     def _settle(self, name: LidarName, fit: GyroFit | MapFit, sure: bool = True) -> bool:
         """Shift the stamps from now on if the offset is known to differ from what is applied."""
         x, sigma = self._known[name] = fit.solve()
         wanted = round(min(max(float(x[0]), -self._max), self._max) * NS)
         off = abs(wanted - self.shift[name]) / NS
-        beyond, least = (REFINED, SMALL) if self.shift[name] else (CERTAIN, WORTH)
+        beyond, least = (
+            (REFINED_SIGMAS, SMALL_OFFSET) if self.shift[name] else (CERTAIN_SIGMAS, CORRECTED_OFFSET)
+        )
         if not sure or off <= max(beyond * float(sigma[0]), least):
             return False
         self.shift[name] = wanted
@@ -150,12 +152,14 @@ class Calibration:
 
     def _seems_right(self, name: LidarName) -> bool:
         x, sigma = self._known[name]
-        return abs(float(x[0]) - self.shift[name] / NS) < max(WORTH, DOUBTFUL * float(sigma[0]))
+        return abs(float(x[0]) - self.shift[name] / NS) < max(
+            CORRECTED_OFFSET, DOUBTFUL_SIGMAS * float(sigma[0])
+        )
 
     def fits(self) -> tuple[LidarFit, ...]:
         """What is known, the main LiDAR first."""
         return tuple(
-            LidarFit(name, float(x[0]), math.hypot(float(sigma[0]), CLOCK), self.shift[name] / NS)
+            LidarFit(name, float(x[0]), math.hypot(float(sigma[0]), CLOCK_SIGMA), self.shift[name] / NS)
             for name, (x, sigma) in self._known.items()
         )
 
@@ -165,21 +169,21 @@ class Calibration:
         out: dict[LidarName, MountFit] = {}
         for name, (x, sigma) in self._known.items():
             at = self._places[name]
-            turn, turn_sigma = x[1:4].copy(), np.hypot(sigma[1:4], SYSTEMATIC[0])
+            turn, turn_sigma = x[1:4].copy(), np.hypot(sigma[1:4], MOUNT_SIGMA[0])
             place, place_sigma = np.zeros(3), np.full(3, np.inf)
             if name != "main":
                 main = out["main"]
                 turn += main.turn
                 turn_sigma = np.hypot(turn_sigma, main.turn_sigma)
                 place = x[4:] + main.place - cross(main.turn, self._places["main"]) + cross(turn, at)
-                place_sigma = np.hypot(sigma[4:], SYSTEMATIC[1])
+                place_sigma = np.hypot(sigma[4:], MOUNT_SIGMA[1])
             if self._ground[name].known:
                 roll, pitch, height = self._ground[name].beside_wheels()
-                ground, drive = SYSTEMATIC[0] ** -2, turn_sigma[:2] ** -2
+                ground, drive = MOUNT_SIGMA[0] ** -2, turn_sigma[:2] ** -2
                 turn[:2] = (ground * np.array([roll, pitch]) + drive * turn[:2]) / (ground + drive)
                 turn_sigma[:2] = 1.0 / np.sqrt(ground + drive)
                 place[2] = height + roll * at[1] - pitch * at[0]
-                place_sigma[2] = SYSTEMATIC[1]
+                place_sigma[2] = MOUNT_SIGMA[1]
             out[name] = MountFit(turn, turn_sigma, place, place_sigma)
         return out
 
@@ -187,8 +191,8 @@ class Calibration:
         """Whose clock the operator must mend, in plain words; empty when all are well."""
         words = []
         for fit in self.fits():
-            sure = 0.0 if abs(fit.applied) >= self._max else CERTAIN * fit.offset_sigma
-            if abs(fit.offset) - max(sure, WORTH) > self._max:
+            sure = 0.0 if abs(fit.applied) >= self._max else CERTAIN_SIGMAS * fit.offset_sigma
+            if abs(fit.offset) - max(sure, CORRECTED_OFFSET) > self._max:
                 words.append(
                     f"the stamps of the {fit.name} LiDAR are {-1e3 * fit.offset:+.0f} ms off the IMU, beyond the"
                     f" {1e3 * self._max:.0f} ms that are corrected: set its time_offset"
@@ -222,15 +226,15 @@ class Calibration:
         off = ground.beside_wheels()
         tilt = ground.beside_gravity()
         apart = [off - g.beside_wheels() for other, g in self._ground.items() if other != name and g.known]
-        limits = np.array([MOUNT[0], MOUNT[0], MOUNT[1]])
+        limits = np.array([MOUNT_ERROR[0], MOUNT_ERROR[0], MOUNT_ERROR[1]])
         wrong = np.abs(off) > limits
-        wrong[:2] &= np.abs(tilt) > MOUNT[0]
+        wrong[:2] &= np.abs(tilt) > MOUNT_ERROR[0]
         for difference in apart:
             wrong &= np.abs(difference) > limits
         # wheels that stand on something else than the ground around say nothing of the height
         wrong[2] &= bool((wrong[:2] | (np.abs(off[:2]) < limits[:2])).all())
         height = off[2] + off[0] * self._places[name][1] - off[1] * self._places[name][0]
-        wrong[2] &= abs(height) > MOUNT[1]
+        wrong[2] &= abs(height) > MOUNT_ERROR[1]
         values = (off[0], off[1], height)
         return {
             axis: value for axis, value, w in zip(("roll", "pitch", "z"), values, wrong, strict=True) if w
@@ -250,19 +254,19 @@ def told(off: dict[str, float]) -> str:
 
 def _turns(x: Array, sigma: Array, which: Iterable[int]) -> dict[str, float]:
     """Turns [rad] about axes of base_link that are certainly more than a mount may be off."""
-    beyond = _certainly(x[1:4], sigma[1:4], SYSTEMATIC[0], MOUNT[0])
+    beyond = _certainly(x[1:4], sigma[1:4], MOUNT_SIGMA[0], MOUNT_ERROR[0])
     return {AXES[k]: float(x[1 + k]) for k in which if beyond[k]}
 
 
 def _places(x: Array, sigma: Array, at: Array) -> dict[str, float]:
     """The same for the place [m] of a LiDAR that is mounted `at` (3,), ahead and aside; the ground tells its height."""
     place = x[4:] + cross(x[1:4], at)
-    beyond = _certainly(place, sigma[4:], SYSTEMATIC[1], MOUNT[1])
+    beyond = _certainly(place, sigma[4:], MOUNT_SIGMA[1], MOUNT_ERROR[1])
     return {AXES[3 + k]: float(place[k]) for k in (0, 1) if beyond[k]}
 
 
 def _certainly(off: Array, sigma: Array, systematic: float, limit: float) -> NDArray[np.bool_]:
-    """Whether each is certain (`CERTAIN`), and beyond the limit by twice its total error. With the second test alone
-    a correct mount was told for 0.3 s in the first metres of a drive, 2.5 standard deviations off."""
+    """Whether each is certain (`CERTAIN_SIGMAS`), and beyond the limit by twice its total error. With the second test
+    alone a correct mount was told for 0.3 s in the first metres of a drive, 2.5 standard deviations off."""
     size = np.abs(off)
-    return (size > CERTAIN * sigma) & (size - 2.0 * np.hypot(sigma, systematic) > limit)
+    return (size > CERTAIN_SIGMAS * sigma) & (size - 2.0 * np.hypot(sigma, systematic) > limit)

@@ -11,31 +11,31 @@ from numpy.typing import NDArray
 from hal.rotation import cross
 from hal.types import Array
 
-REACH = 3.5
+GROUND_REACH = 3.5
 """Ground within this distance [m] is looked at,"""
-BAND, FAN = 0.08, 0.12
+GROUND_BAND, GROUND_FAN = 0.08, 0.12
 """within this height of the plane under the wheels [m], and this much more per metre."""
-FAR = 1.05 * math.hypot(REACH, BAND + FAN * REACH)
+FARTHEST_GROUND = 1.05 * math.hypot(GROUND_REACH, GROUND_BAND + GROUND_FAN * GROUND_REACH)
 """No such ground lies further from the middle of the wheels [m]."""
-CELL, POINTS, CELLS = 0.25, 3, 25
+CELL_SIDE, CELL_POINTS, PLANE_CELLS = 0.25, 3, 25
 """Heights are averaged in cells of this size [m] with so many points at least; so many cells make a plane."""
-HALF = math.ceil(REACH / CELL)
+HALF = math.ceil(GROUND_REACH / CELL_SIDE)
 """Cells from the middle to the rim."""
-EVEN = 0.01
+EVEN_SCATTER = 0.01
 """Scatter of the cells' heights about the plane up to which ground is even [m]."""
-MOST = 0.6
+PLANE_SHARE = 0.6
 """Share of the cells that must lie on the plane: others are walls and steps."""
-SPREAD = 0.35
+CELL_SPREAD = 0.35
 """The cells must reach so far in both directions, one standard deviation [m]."""
-KEPT = 60
+KEPT_LOOKS = 60
 """Looks that count."""
-ENOUGH = 8
+ENOUGH_LOOKS = 8
 """Looks that are needed."""
-UPRIGHT = 0.5
+UPRIGHT_COSINE = 0.5
 """Cosine of the tilt of the wheels' plane up to which one looks."""
-LATELY = 3
+RECENT_LOOKS = 3
 """Looks."""
-EVERY = 5
+LOOK_EVERY = 5
 """Scans between two looks once there are enough."""
 
 
@@ -43,34 +43,36 @@ class GroundFit:
     """One LiDAR. All figures as roll, pitch [rad] and height [m] at base_link; the median of the last looks."""
 
     def __init__(self) -> None:
-        self._looks: deque[Array] = deque(maxlen=KEPT)
+        self._looks: deque[Array] = deque(maxlen=KEPT_LOOKS)
         self._median = np.zeros(5)
         self._scans = 0
-        self._uneven = LATELY
+        self._uneven = RECENT_LOOKS
         """Looks since the last one that showed even ground."""
 
     @property
     def known(self) -> bool:
         """There were enough looks at even ground."""
-        return len(self._looks) >= ENOUGH
+        return len(self._looks) >= ENOUGH_LOOKS
 
     @property
     def even(self) -> bool:
         """The ground was even lately."""
-        return self._uneven < LATELY
+        return self._uneven < RECENT_LOOKS
 
     def add(self, cloud: NDArray[np.float32], contacts: Array, up: Array) -> None:
         """Add a `cloud` (n, 3), the wheel contacts `contacts` (k, 3) and the vertical `up` (3,); all in base_link."""
         self._scans += 1
-        if self.known and self._scans % EVERY:
+        if self.known and self._scans % LOOK_EVERY:
             return
         self._uneven += 1
         under = wheel_plane(contacts)
-        if under is None or under[0][2] @ up < UPRIGHT:
+        if under is None or under[0][2] @ up < UPRIGHT_COSINE:
             return
         axes, middle = under
         away = cloud - middle.astype(np.float32)
-        near = np.flatnonzero(np.einsum("ij,ij->i", away, away) < FAR**2)  # most of a sweep lies beyond
+        near = np.flatnonzero(
+            np.einsum("ij,ij->i", away, away) < FARTHEST_GROUND**2
+        )  # most of a sweep lies beyond
         plane = fit_plane(cloud[near] @ axes.T - axes @ middle)
         if plane is None:
             return
@@ -98,7 +100,7 @@ def wheel_plane(contacts: Array) -> tuple[Array, Array] | None:
         return None
     normal = cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
     normal /= math.copysign(max(float(np.linalg.norm(normal)), 1e-9), normal[2])
-    if normal[2] < UPRIGHT:
+    if normal[2] < UPRIGHT_COSINE:
         return None
     side = cross(normal, [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
@@ -108,14 +110,14 @@ def wheel_plane(contacts: Array) -> tuple[Array, Array] | None:
 def fit_plane(points: Array) -> tuple[float, float, float] | None:
     """z = a x + b y + c [m] through the points (n, 3) near z = 0; None where they show no even ground around."""
     reach = np.hypot(points[:, 0], points[:, 1])
-    points = points[(reach < REACH) & (np.abs(points[:, 2]) < BAND + FAN * reach)]
-    column, row = (np.floor(points[:, :2] / CELL).astype(np.int64) + HALF).T
+    points = points[(reach < GROUND_REACH) & (np.abs(points[:, 2]) < GROUND_BAND + GROUND_FAN * reach)]
+    column, row = (np.floor(points[:, :2] / CELL_SIDE).astype(np.int64) + HALF).T
     which = column * 2 * HALF + row
     count = np.bincount(which, minlength=4 * HALF * HALF)
-    enough = count >= POINTS
+    enough = count >= CELL_POINTS
     sums = [np.bincount(which, points[:, k], len(count))[enough] for k in range(3)]
     mean = np.stack(sums, axis=1) / count[enough, None]
-    if len(mean) < CELLS:
+    if len(mean) < PLANE_CELLS:
         return None
     design = np.column_stack([mean[:, :2], np.ones(len(mean))])
     keep = np.abs(mean[:, 2] - np.median(mean[:, 2])) < 0.03 + 0.05 * np.hypot(mean[:, 0], mean[:, 1])
@@ -123,8 +125,8 @@ def fit_plane(points: Array) -> tuple[float, float, float] | None:
         x, *_ = np.linalg.lstsq(design[keep], mean[keep, 2], rcond=None)
         off = np.abs(design @ x - mean[:, 2])
         keep = off < gate
-        if keep.sum() < max(CELLS, MOST * len(mean)):
+        if keep.sum() < max(PLANE_CELLS, PLANE_SHARE * len(mean)):
             return None
-    even = float(np.sqrt(np.mean(off[keep] ** 2))) < EVEN
-    wide = float(np.linalg.eigvalsh(np.cov(mean[keep, :2].T))[0]) > SPREAD**2
+    even = float(np.sqrt(np.mean(off[keep] ** 2))) < EVEN_SCATTER
+    wide = float(np.linalg.eigvalsh(np.cov(mean[keep, :2].T))[0]) > CELL_SPREAD**2
     return (float(x[0]), float(x[1]), float(x[2])) if even and wide else None

@@ -14,29 +14,29 @@ from hal.types import NS, Array
 from mapping.odometry.registration.engines import Match
 from mapping.odometry.registration.observability import observed
 
-INDEPENDENT = 60
+INDEPENDENT_POINTS = 60
 """Points of a scan whose errors are independent."""
-SCATTER = 0.6
+SCATTER_SHARE = 0.6
 """Share of the scatter of a scan about the map that does not average out. More serves sparse LiDARs whose wheels roll
 cleanly (synthetic runs), less serves wheels that slip and bump (physics)."""
 FITS_AGAIN = 0.1, 0.04
 """Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
-USUAL = 2.0
+USUAL_FACTOR = 2.0
 """and never more than this times what is usual,"""
-SPARE = 0.02, 0.01
+USUAL_SPARE = 0.02, 0.01
 """plus this share of points off the surfaces [0..1] and this distance [m]: after level ground all other ground fits
 worse."""
 ON_PLANES = 0.25
 """Least share of its points in voxels that have a plane."""
-DROP = 0.25, 0.1
+VIEW_DROP = 0.25, 0.1
 """Loss of overlap and of points on surfaces [0..1] from one scan to the next that shows that the view is another."""
 TURN_SLACK = 0.1
 """Turn [rad] that the gyro does not tell, beside its own uncertainty: a square room fits four times."""
-SUSPECT = 0.5
+SUSPECT_SHARE = 0.5
 """Share of what is strange that is suspect while wheels and gyro stand still."""
 CARRIED_FOR = 5 * NS
 """How long a robot that was moved while it stood still counts as carried [ns]."""
-MEMORY = 0.1
+USUAL_WEIGHT = 0.1
 """Weight of a scan in what is usual."""
 CARRIED = "; if the robot was carried, bring it back or start the stack anew"
 
@@ -155,7 +155,7 @@ class HealthMonitor:
         self._fits = 0
         self._against = 0
         """Scans in a row that say that a robot moved whose wheels and gyro stand still."""
-        self._usual = np.array(FITS_AGAIN) / USUAL
+        self._usual = np.array(FITS_AGAIN) / USUAL_FACTOR
         """Share of points off the surfaces and RMS distance [m] of scans that were mapped."""
         self._carried_until = 0
         """No scan is held against until then [ns]: the robot is carried, or its floor moves."""
@@ -204,7 +204,7 @@ class HealthMonitor:
 
     def dropped(self, match: Match) -> bool:
         """The scan fits much worse than the one before: the robot sees something new, or is elsewhere."""
-        return match.overlap < self._last[0] - DROP[0] or match.inliers < self._last[1] - DROP[1]
+        return match.overlap < self._last[0] - VIEW_DROP[0] or match.inliers < self._last[1] - VIEW_DROP[1]
 
     def judge(
         self,
@@ -228,7 +228,7 @@ class HealthMonitor:
         )
         # one scan may be off by what all its points share: that is no disagreement
         shared = sigma**2 / _variance(match, sigma)
-        spread = shared * INDEPENDENT * covariance + prior
+        spread = shared * INDEPENDENT_POINTS * covariance + prior
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
         turned = math.degrees(float(np.linalg.norm(difference[3:])))
@@ -243,7 +243,7 @@ class HealthMonitor:
             watched = still and not again
             held = watched and stamp > self._carried_until
             suspect = off > s.disagreement and (
-                moved > SUSPECT * s.strange or turned > SUSPECT * s.strange_deg
+                moved > SUSPECT_SHARE * s.strange or turned > SUSPECT_SHARE * s.strange_deg
             )
             self._against = self._against + 1 if held and suspect else 0
             if held:
@@ -295,7 +295,7 @@ class HealthMonitor:
             return Verdict(health, reason, True, False, covariance, direction, share, strange)
         self.lost, self._doubt, self._tracked = False, "", False
         if scans >= s.young and self.fits_again(match, False):
-            self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
+            self._usual += USUAL_WEIGHT * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
         # What seems to move past a robot that stands must not become the map that shows it standing.
         mapped = not (held and self._against)
@@ -314,7 +314,7 @@ class HealthMonitor:
         must do. `tracked`: there was no gap, see `doubt`; then the scan must fit as well as a `good` one."""
         if young and match.on_planes < self.params.min_on_planes:
             return match.overlap >= self.params.overlap_again
-        off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + SPARE)
+        off, residual = np.minimum(FITS_AGAIN, USUAL_FACTOR * self._usual + USUAL_SPARE)
         if tracked:
             off, residual = 1.0 - self.params.inliers_low, self.params.residual_high
         return (
@@ -330,10 +330,10 @@ def pose_covariance(match: Match, sigma: float, prior: Array) -> tuple[Array, Ar
     surface.
 
     Neighbouring points share errors of the map and of its discretisation (`sigma` [m]). The following scans share
-    what noise did to the map (`residual`). So a scan counts as `INDEPENDENT` points, however many it has. What is not
-    observed says nothing. `prior`: (6, 6) of the prediction, see `Observed.blurred`."""
+    what noise did to the map (`residual`). So a scan counts as `INDEPENDENT_POINTS` points, however many it has. What
+    is not observed says nothing. `prior`: (6, 6) of the prediction, see `Observed.blurred`."""
     seen = observed(match.information)
-    covariance = seen.covariance((_variance(match, sigma) + seen.blurred(prior)) / INDEPENDENT)
+    covariance = seen.covariance((_variance(match, sigma) + seen.blurred(prior)) / INDEPENDENT_POINTS)
     h = match.information / max(seen.weight, 1e-9)
     position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
@@ -342,7 +342,7 @@ def pose_covariance(match: Match, sigma: float, prior: Array) -> tuple[Array, Ar
 
 def _variance(match: Match, sigma: float) -> float:
     """Of one independent point about the map [m^2]."""
-    return sigma**2 + (SCATTER * match.residual) ** 2
+    return sigma**2 + (SCATTER_SHARE * match.residual) ** 2
 
 
 def _sigma(covariance: Array) -> float:

@@ -34,13 +34,13 @@ from mapping.odometry.types import OdometryConfig
 STREAMS = {"imu": "IMU", "joints": "joints"}
 """What operators call them."""
 SWEEP_PERIOD = NS // 10
-SLACK = 10_000_000
+SWEEP_SLACK = 10_000_000
 """Sweeps of two LiDARs that end within this time [ns] belong together."""
-SILENT = NS // 2
+SILENT_TIME = NS // 2
 """A LiDAR that has not begun a sweep for this long [ns] is silent; so is a dead one."""
-NEAR = 0.1
+NEAR_RANGE = 0.1
 """A LiDAR that is there for the ground in front of it may see it this near [m]."""
-ASKED = 1.0
+ASKED_WAY = 1.0
 """[m] of the start on which the height of the ground is asked for: then the way of the wheels tells a wrong unit, and
 the robot may come onto a plinth."""
 JOINT_PERIOD = 18_000_000
@@ -172,7 +172,7 @@ class Inbox:
         if not self._admit_sweep(scan.name, scan.stamp):
             return
         p = self._params
-        near = p.min_range if scan.name == "main" else NEAR
+        near = p.min_range if scan.name == "main" else NEAR_RANGE
         sweep = clean_scan(scan, near, p.max_range, p.max_points, self._counters)
         if sweep is None:
             return
@@ -206,7 +206,7 @@ class Inbox:
 
     def _look_down(self, sweep: Sweep) -> None:
         height = self._heights[sweep.name]
-        if height.asks and (self._way < ASKED or height.words):
+        if height.asks and (self._way < ASKED_WAY or height.words):
             joints = self.joints.between(sweep.end - NS // 5, sweep.end)[1]
             contacts = contacts_of(self._params.inertial.limbs, joints)
             height.look(self._own.in_base(sweep.name, sweep.xyz), contacts)
@@ -220,7 +220,7 @@ class Inbox:
     def _silent(self, name: LidarName) -> bool:
         newest = self._clocks[name].newest
         since = newest if newest is not None else self._first
-        return since is None or self.now - since > SILENT or bool(self.dead(name))
+        return since is None or self.now - since > SILENT_TIME or bool(self.dead(name))
 
     @property
     def waiting(self) -> bool:
@@ -239,7 +239,9 @@ class Inbox:
         topics = ["imu", "joints"] if self._params.use_joints else ["imu"]
         stamps = [self._clocks[t].newest for t in topics]
         passed = all(s is not None and s >= end for s in stamps) and not any(
-            last + SWEEP_PERIOD <= end + SLACK for name, last in self._ends.items() if not self._silent(name)
+            last + SWEEP_PERIOD <= end + SWEEP_SLACK
+            for name, last in self._ends.items()
+            if not self._silent(name)
         )
         if passed or self.now > end + self._params.patience * NS:
             return queue.popleft()
@@ -249,7 +251,7 @@ class Inbox:
         """Sweeps of the other LiDARs that belong to a registered `sweep`; earlier ones are dropped."""
         out: list[Sweep] = []
         for name, queue in self._sweeps.items():
-            while name != sweep.name and queue and queue[0].end <= sweep.end + SLACK:
+            while name != sweep.name and queue and queue[0].end <= sweep.end + SWEEP_SLACK:
                 out.append(queue.popleft())
         return [other for other in out if other.end > sweep.end - 2 * SWEEP_PERIOD]
 

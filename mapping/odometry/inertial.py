@@ -21,13 +21,13 @@ from hal.rotation import rotation, rotation_vector, skew, turn, wrap
 from hal.types import GRAVITY, Array
 from mapping.odometry.inertial_kernels import correct, output, run, settle
 
-AT_REST, MOVING = 0.1, 3.0
+AT_REST, MOVING_TILT = 0.1, 3.0
 """Tilt error of the accelerometer at the start beside that of its bias, one standard deviation [deg]. Of 24 simulated
 starts, whose trunk still sways a little, 0.07 about each axis."""
 
 AT_STANDSTILL = 0.01
 """Velocity of a body that stands, one standard deviation [m/s]."""
-STILL = 0.003
+STILL_RATE = 0.003
 """Mean turn rate of a sweep beside the bias while the robot stands, one standard deviation [rad/s]: noise and the
 rest of a sway."""
 
@@ -114,7 +114,7 @@ class InertialFilter:
         moving = velocity is None and not level
         if velocity is not None:
             self.x[3:6] = rot @ velocity
-        tilt = math.radians(AT_REST if level else MOVING)
+        tilt = math.radians(AT_REST if level else MOVING_TILT)
         sigma = np.concatenate(
             [
                 [1e-3] * 3,
@@ -183,7 +183,7 @@ class InertialFilter:
         kept[over_ground] = np.sqrt(variance / np.diag(self.p)[over_ground]).clip(max=1.0)
         self.p = kept[:, None] * self.p * kept
         rows = [3, 4, 5, 11]
-        r = np.diag([AT_STANDSTILL**2] * 3 + [STILL**2])
+        r = np.diag([AT_STANDSTILL**2] * 3 + [STILL_RATE**2])
         gain = np.linalg.solve(self.p[np.ix_(rows, rows)] + r, self.p[rows]).T
         correct(self.x, gain @ np.append(-self.x[3:6], rate - self.x[12]))
         self.p -= gain @ self.p[rows]

@@ -12,9 +12,9 @@ from hal.types import GRAVITY, Array
 
 MAX_STEP = 0.05
 """An inertial gap longer than this [s] is bridged at constant velocity with a large uncertainty."""
-SILENCE = 500_000_000
+SILENCE_TIME = 500_000_000
 """A stretch [ns] without inertial and wheel samples in which the body is taken to have come to rest:"""
-COASTED, UNSURE, TURNED = 0.2, 0.5, 0.2
+COASTED_WAY, UNSURE_SPEED, COASTED_TURN = 0.2, 0.5, 0.2
 """how far it may have gone [m], how fast it may be after all [m/s], and turned about its z axis [rad], one standard
 deviation."""
 
@@ -141,9 +141,9 @@ def settle(x: Array, p: Array) -> None:
     """Time has passed unseen: the body rests about where it was."""
     x[3:6] = 0.0
     for k in range(3):
-        p[k, k] += COASTED**2
-        p[3 + k, 3 + k] += UNSURE**2
-    p[8, 8] += TURNED**2
+        p[k, k] += COASTED_WAY**2
+        p[3 + k, 3 + k] += UNSURE_SPEED**2
+    p[8, 8] += COASTED_TURN**2
 
 
 @njit(cache=True)
@@ -176,8 +176,8 @@ def run(
     after its stamp. Poses x[:10] after every step go to `track_stamp` (k,), `track` (k, 10). Returns rows written to
     the track.
 
-    Over more than `SILENCE` without any sample nothing is integrated: a body that nobody hears is not commanded and
-    comes to rest, so the pose stays, with room for what it coasted."""
+    Over more than `SILENCE_TIME` without any sample nothing is integrated: a body that nobody hears is not commanded
+    and comes to rest, so the pose stays, with room for what it coasted."""
     now = start
     w = 0
     rows = 0
@@ -198,7 +198,7 @@ def run(
         for j in range(w, len(wheel_stamp)):
             if wheel_stamp[j] < stop:
                 heard = max(heard, wheel_stamp[j])
-        if stop - heard > SILENCE:
+        if stop - heard > SILENCE_TIME:
             for k in range(6):
                 u[k] = imu[i, k] if i < n else (x[10 + k] if k < 3 else u[k])
             settle(x, p)

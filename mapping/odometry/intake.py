@@ -14,11 +14,11 @@ from hal.safety.monitors import POINT_TIMES, STAMP_AHEAD, SWEEP_CLOCK
 from hal.sweep_times import TimesError, sweep_times
 from hal.types import NS, Array, LidarName, LidarScan
 
-HIT = 0.01
+NEAREST_HIT = 0.01
 """A point nearer than this [m] is none: drivers write misses as 0, 0, 0."""
-USUAL = 10
+USUAL_SWEEPS = 10
 """Sweeps that tell how far apart they come, and how long before the IMU's samples."""
-OVERLAP = 1.5
+OVERLAP_SHARE = 1.5
 """Sweeps of one LiDAR follow each other; longer ones than this share of their period are none."""
 GAP_ENDS = 3
 """Samples in a row that show that a stream is back after a gap."""
@@ -87,9 +87,9 @@ class SweepClock:
     does that. Then its clock was set, and its sweeps are refused until they come as before."""
 
     def __init__(self) -> None:
-        self._lags: deque[int] = deque(maxlen=USUAL)
+        self._lags: deque[int] = deque(maxlen=USUAL_SWEEPS)
         """By how much the newest sweeps that agreed began before the IMU's newest sample [ns]."""
-        self._steps: deque[int] = deque(maxlen=USUAL)
+        self._steps: deque[int] = deque(maxlen=USUAL_SWEEPS)
         """From the begin of one sweep to that of the next [ns]."""
         self._start: int | None = None
         self._back = self._hole = False
@@ -107,7 +107,7 @@ class SweepClock:
 
     def too_long(self, lasts: int) -> str:
         """That a sweep of `lasts` [ns] goes on while the next ones come, in words; empty where it does not."""
-        if not (POINT_TIMES.active and lasts > OVERLAP * self._period):
+        if not (POINT_TIMES.active and lasts > OVERLAP_SHARE * self._period):
             return ""
         held = f"{lasts / NS:.2f} s of a sweep that comes every {self._period / NS:.2f} s"
         return POINT_TIMES.tell(field="time", held=held)
@@ -233,7 +233,7 @@ def clean_scan(
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = (np.ascontiguousarray(points[axis], np.float32) for axis in "xyz")
         square = x * x + y * y + z * z
-        hit = (square >= HIT**2) & (square < np.inf)
+        hit = (square >= NEAREST_HIT**2) & (square < np.inf)
         try:
             times = sweep_times(points["time"], hit)
             before = min(times.first, 0)  # where the stamp is that of the end

@@ -54,7 +54,7 @@ class OwnPart(BaseModel):
         return f"{{low: [{low}], high: [{high}]}}"
 
 
-SPARE = 0.03
+PART_MARGIN = 0.03
 """[m] around a part: noise of the LiDARs, and what it sways."""
 
 
@@ -81,7 +81,7 @@ def body_boxes(length: float, width: float) -> tuple[OwnPart, OwnPart]:
     x, y = length / 2, width / 2
     return (
         OwnPart(low=(-x, -y, -0.10), high=(x, y, 0.25)),
-        OwnPart(low=(-x, -y - SPARE, -0.50), high=(x, y + SPARE, -0.10)),
+        OwnPart(low=(-x, -y - PART_MARGIN, -0.50), high=(x, y + PART_MARGIN, -0.10)),
     )
 
 
@@ -152,25 +152,26 @@ def _outside(xyz, turn, place, boxes, out):  # pragma: no cover - compiled
                 break
 
 
-VOXEL = 0.04
+VOXEL_SIDE = 0.04
 """[m]"""
-NEAR = 1.0
+VOXEL_REACH = 1.0
 """[m] from base_link along each axis to the end of the voxels."""
-ABOVE = -0.25
+LOWEST_PART = -0.25
 """[m] above base_link; below, the ground is as near everywhere as a part is."""
-MOVED, TURNED = 0.1, 0.1
+LEAST_MOVE, LEAST_TURN = 0.1, 0.1
 """[m], [rad] between two sweeps that are looked at: a robot that stands is told nothing."""
-SWEEPS = 20
+STRETCH_SWEEPS = 20
 """Sweeps after which parts are told, and the next stretch begins: at most 2 m."""
-SEEN, OFTEN = 0.8, 0.15
+SEEN_SHARE, HIT_SHARE = 0.8, 0.15
 """Share of these sweeps in which a part is seen in a voxel or beside it (noise and sway), and in the voxel itself."""
-BIN = math.radians(1.0)
-"""[rad] Directions in which rays count as one; 2 cm at `FAR`, from which a LiDAR tells whether a place is empty [m]."""
-FAR = 1.5
-GONE, BEYOND, STILL = 0.3, 0.5, 0.1
+BIN_ANGLE = math.radians(1.0)
+"""[rad] Directions in which rays count as one; 2 cm at `LOOK_RANGE`, from which a LiDAR tells whether a place is empty
+[m]."""
+LOOK_RANGE = 1.5
+GONE_DISTANCE, EMPTY_BEYOND, TAKEN_WITHIN = 0.3, 0.5, 0.1
 """[m] A place is asked about once the robot's part would be so far from it. It is empty where the nearest ray in its
 direction ends so far beyond it, and taken where one ends so near it: a ray along a wall tells nothing."""
-ASKED, TAKEN = 50, 0.05
+ENOUGH_ANSWERS, TAKEN_SHARE = 50, 0.05
 """Answers that are needed, and the share of them that may say that something stands there: grass and fences let only
 some rays through."""
 
@@ -183,8 +184,8 @@ class OwnParts:
 
     def __init__(self, outline: Array) -> None:
         """`outline`: (3,) [m] from base_link, how far parts stick out at most."""
-        self._outline = np.minimum(outline, NEAR)
-        self._side = (2 * round(NEAR / VOXEL),) * 3
+        self._outline = np.minimum(outline, VOXEL_REACH)
+        self._side = (2 * round(VOXEL_REACH / VOXEL_SIDE),) * 3
         self._last: Array | None = None
         self.found: tuple[OwnPart, ...] = ()
         self._begin()
@@ -216,7 +217,7 @@ class OwnParts:
             return True
         apart = np.linalg.inv(self._last) @ pose
         moved, turned = math.hypot(apart[0, 3], apart[1, 3]), math.atan2(apart[1, 0], apart[0, 0])
-        return moved >= MOVED or abs(turned) >= TURNED
+        return moved >= LEAST_MOVE or abs(turned) >= LEAST_TURN
 
     def look(self, sweeps: Sequence[tuple[Array, NDArray[np.float32], Array]], pose: Array) -> None:
         """A sweep of each LiDAR: points (n, 3) in base_link as measured, the same (n, 3) at the end of the sweep,
@@ -226,9 +227,11 @@ class OwnParts:
         here = np.zeros(self._side, np.bool_)
         for measured, moved, lidar in sweeps:
             self._ask(moved, lidar, pose)
-            near = np.flatnonzero((np.abs(measured) < self._outline).all(axis=1) & (measured[:, 2] > ABOVE))
+            near = np.flatnonzero(
+                (np.abs(measured) < self._outline).all(axis=1) & (measured[:, 2] > LOWEST_PART)
+            )
             points = measured[near]
-            at = np.floor((points + NEAR) / VOXEL).astype(np.int64).clip(0, self._side[0] - 1)
+            at = np.floor((points + VOXEL_REACH) / VOXEL_SIDE).astype(np.int64).clip(0, self._side[0] - 1)
             voxels = np.ravel_multi_index((at[:, 0], at[:, 1], at[:, 2]), self._side)
             here.flat[voxels] = True
             np.minimum.at(self._low.reshape(-1, 3), voxels, points)
@@ -237,7 +240,7 @@ class OwnParts:
             self._places.append((moved[near[one]] @ pose[:3, :3].T + pose[:3, 3], voxels, pose))
         self._hits += here
         self._near += _grown(here)
-        if self._sweeps == SWEEPS:
+        if self._sweeps == STRETCH_SWEEPS:
             self.found = self._parts()
             self._begin()
 
@@ -246,7 +249,7 @@ class OwnParts:
         if not self._places:
             return
         rays, reach = _directions(points - lidar)
-        nearest = np.full(_BINS, np.inf)
+        nearest = np.full(_BIN_COUNT, np.inf)
         np.minimum.at(nearest, rays, reach)
         back = np.linalg.inv(pose)
         for places, voxels, then in self._places:
@@ -254,21 +257,26 @@ class OwnParts:
             own = (places - then[:3, 3]) @ then[:3, :3]
             bins, away = _directions(now - lidar)
             ends = nearest[bins]
-            asked = (np.linalg.norm(now - own, axis=1) > GONE) & (away < FAR) & np.isfinite(ends)
-            np.add.at(self._empty.reshape(-1), voxels[asked & (ends > away + BEYOND)], 1)
-            np.add.at(self._taken.reshape(-1), voxels[asked & (np.abs(ends - away) <= STILL)], 1)
+            asked = (
+                (np.linalg.norm(now - own, axis=1) > GONE_DISTANCE) & (away < LOOK_RANGE) & np.isfinite(ends)
+            )
+            np.add.at(self._empty.reshape(-1), voxels[asked & (ends > away + EMPTY_BEYOND)], 1)
+            np.add.at(self._taken.reshape(-1), voxels[asked & (np.abs(ends - away) <= TAKEN_WITHIN)], 1)
 
     def _parts(self) -> tuple[OwnPart, ...]:
         """Boxes around voxels that were seen nearly all the time, joined where they are near each other."""
-        always = (self._near >= SEEN * self._sweeps) & (self._hits >= OFTEN * self._sweeps)
+        always = (self._near >= SEEN_SHARE * self._sweeps) & (self._hits >= HIT_SHARE * self._sweeps)
         label = np.zeros(self._side, np.int32)
         boxes = []
         for group in range(1, _label(always, label) + 1):
             those = label == group
             empty, taken = int(self._empty[those].sum()), int(self._taken[those].sum())
-            low, high = self._low[those].min(axis=0) - SPARE, self._high[those].max(axis=0) + SPARE
-            shown = empty >= ASKED or any(part.holds(0.5 * (low + high)) for part in self.found)
-            if shown and taken <= TAKEN * empty:
+            low, high = (
+                self._low[those].min(axis=0) - PART_MARGIN,
+                self._high[those].max(axis=0) + PART_MARGIN,
+            )
+            shown = empty >= ENOUGH_ANSWERS or any(part.holds(0.5 * (low + high)) for part in self.found)
+            if shown and taken <= TAKEN_SHARE * empty:
                 low, high = np.maximum(low, -self._outline), np.minimum(high, self._outline)
                 boxes.append(OwnPart(low=_corner(low), high=_corner(high)))
         return tuple(sorted(boxes, key=lambda box: box.low))
@@ -306,16 +314,18 @@ def _label(marked, label):  # pragma: no cover - compiled
     return n
 
 
-_TURN = round(2.0 * math.pi / BIN)
-_BINS = _TURN * (_TURN // 2 + 1)
+_TURN_BINS = round(2.0 * math.pi / BIN_ANGLE)
+_BIN_COUNT = _TURN_BINS * (_TURN_BINS // 2 + 1)
 
 
 def _directions(rays: Array) -> tuple[NDArray[np.int64], Array]:
     """The bin (n,) and the length (n,) [m] of rays (n, 3)."""
     flat = np.hypot(rays[:, 0], rays[:, 1])
-    around = np.floor((np.arctan2(rays[:, 1], rays[:, 0]) + math.pi) / BIN).astype(np.int64) % _TURN
-    up = np.floor((np.arctan2(rays[:, 2], flat) + 0.5 * math.pi) / BIN).astype(np.int64)
-    return up * _TURN + around, np.hypot(flat, rays[:, 2])
+    around = (
+        np.floor((np.arctan2(rays[:, 1], rays[:, 0]) + math.pi) / BIN_ANGLE).astype(np.int64) % _TURN_BINS
+    )
+    up = np.floor((np.arctan2(rays[:, 2], flat) + 0.5 * math.pi) / BIN_ANGLE).astype(np.int64)
+    return up * _TURN_BINS + around, np.hypot(flat, rays[:, 2])
 
 
 def _corner(at: Array) -> Corner:

@@ -28,36 +28,36 @@ from hal.rotation import rotation_vector
 from hal.safety.monitors import IMPOSSIBLE_SPEED, IMU_DISAGREES, SCANS_DISAGREE
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.agreement import Agreement, Scale, way_ahead
-from mapping.odometry.calibration import TURNING, Calibration
+from mapping.odometry.calibration import TURNING_RATE, Calibration
 from mapping.odometry.contacts import contacts_of
 from mapping.odometry.deskew import Deskewer
 from mapping.odometry.health import Health, HealthMonitor, Verdict
 from mapping.odometry.inbox import Inbox
 from mapping.odometry.inertial import InertialFilter
-from mapping.odometry.inertial_kernels import SILENCE
+from mapping.odometry.inertial_kernels import SILENCE_TIME
 from mapping.odometry.intake import Sweep
 from mapping.odometry.own import OwnFilter, OwnPart, OwnParts
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Match, make_engine
-from mapping.odometry.registration.observability import UNKNOWN
+from mapping.odometry.registration.observability import UNKNOWN_SIGMA
 from mapping.odometry.registration.witness import Witness
 from mapping.odometry.rehearsal import rehearse
-from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
+from mapping.odometry.startup import START_WINDOW, Before, Startup, put_at, start
 from mapping.odometry.stillness import still
 from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
 from mapping.odometry.wheels import WheelOdometry, velocities, ways_of_wheels
 
 ZERO = np.zeros(6)
-FASTEST, FALLS = 4.0, 1.6
+LARGEST_GAIN, FALL_SPEED = 4.0, 1.6
 """Largest gain of speed from one sweep to the next, also of a thrown robot, and largest vertical speed with wheels on
 the ground [m/s]."""
-TOLD = 1.0
+TOLD_SIGMA = 1.0
 """A scan whose standard deviation ahead is larger [m] does not tell how far the robot came."""
-TYRES = 0.01
+TYRE_SLIP = 0.01
 """Slip of tyres on firm ground beside what the scans taught, as a share of the way, one standard deviation. Loose
 ground is worse."""
-CREEP = math.radians(0.02)
+CREEP_RATE = math.radians(0.02)
 """[rad/s] by which scans may turn a robot whose wheels and gyro stand still: its tyres give way slowly, and gravity or
 somebody's hand turns it. So slow, it follows the median of the scans: people who walk past do not turn it."""
 HEADING_TOLD = math.radians(0.2)
@@ -213,14 +213,14 @@ class LidarInertialOdometry:
             # scan to scan: gravity has the last word there.
             measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
             if verdict.held:
-                measured[OVER_GROUND, OVER_GROUND] += UNKNOWN**2
+                measured[OVER_GROUND, OVER_GROUND] += UNKNOWN_SIGMA**2
             if verdict.strange:
                 apart = np.linalg.inv(predicted) @ match.pose
                 moved, turned = np.linalg.norm(apart[:3, 3]), np.linalg.norm(rotation_vector(apart[:3, :3]))
                 self._filter.misplaced(3.0 * float(moved), 3.0 * float(turned))
             self._filter.update_pose(match.pose, measured)
             if verdict.held and verdict.insert and verdict.covariance[5, 5] < HEADING_TOLD**2:
-                self._filter.creep(match.pose, CREEP * (sweep.end - since) / NS)
+                self._filter.creep(match.pose, CREEP_RATE * (sweep.end - since) / NS)
         self._seen = match.pose if verdict.use and not verdict.insert and verdict.held else None
         self._slip_unseen(verdict)
         self._misfits = 0 if verdict.use else self._misfits + 1
@@ -286,7 +286,7 @@ class LidarInertialOdometry:
         contacts = contacts_of(self._filter.limbs, self._joints.between(now - NS // 15, now)[1])
         self.calibration.registered(now, before, predicted, since, pose, covariance, self._engine)
         self.calibration.clouds({"main": cloud, **others}, self._engine, pose, state.linear, rate, contacts)
-        if max(np.linalg.norm(rate), np.linalg.norm(state.angular)) > TURNING:
+        if max(np.linalg.norm(rate), np.linalg.norm(state.angular)) > TURNING_RATE:
             self._notes += filter(None, [self.calibration.clock_fault()])
 
     def _look_for_parts(
@@ -310,7 +310,7 @@ class LidarInertialOdometry:
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
-        imu_stamp, imu = self._imu.between(sweep.end - WINDOW, sweep.end)
+        imu_stamp, imu = self._imu.between(sweep.end - START_WINDOW, sweep.end)
         joint_stamp, joints = self._joints.between(sweep.end - NS // 15, sweep.end)
         if len(imu) < 5:
             self.counters["scan_before_imu"] += 1
@@ -340,7 +340,7 @@ class LidarInertialOdometry:
             if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
                 self._notes.append(self._inbox.dead(topic) or f"no {name} data")
         stamps, track = self._advance(end)
-        if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
+        if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE_TIME:
             self._notes.append(f"no IMU data for {silence / NS:.1f} s")
         self._notes += self._inbox.refused()
         return stamps, track
@@ -371,7 +371,7 @@ class LidarInertialOdometry:
         stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
         speed = float(np.linalg.norm(state.x[3:6]))
         gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))
-        fast = max(gained / FASTEST, abs(state.x[5]) / FALLS if touching else 0.0)
+        fast = max(gained / LARGEST_GAIN, abs(state.x[5]) / FALL_SPEED if touching else 0.0)
         self._untrue = self._inbox.dead("imu")
         cannot_be = IMPOSSIBLE_SPEED.tell(speed=speed) if IMPOSSIBLE_SPEED.outside(fast) else ""
         if not self._untrue:
@@ -401,11 +401,11 @@ class LidarInertialOdometry:
         """Where no scan tells how far the robot came, its tyres may have slipped alike all the way: the error grows
         with the way, not with its root."""
         ahead = self._filter.pose()[:2, 0]
-        if verdict.use and float(ahead @ verdict.covariance[:2, :2] @ ahead) < TOLD**2:
+        if verdict.use and float(ahead @ verdict.covariance[:2, :2] @ ahead) < TOLD_SIGMA**2:
             self._blind = 0.0
         elif math.isfinite(self._rolled):
             way = self._blind + abs(self._rolled)
-            self._filter.p[:2, :2] += TYRES**2 * (way**2 - self._blind**2) * np.outer(ahead, ahead)
+            self._filter.p[:2, :2] += TYRE_SLIP**2 * (way**2 - self._blind**2) * np.outer(ahead, ahead)
             self._blind = way
 
     def _coast(self, until: int) -> ScanOdometry:

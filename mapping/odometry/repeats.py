@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from hal.safety.monitors import Monitor
 
-MEMORY = 512
+KEPT_PAYLOADS = 512
 """Payloads that are remembered: a driver may play its buffer again. Two and a half seconds of an IMU."""
 
 
 class Repeats:
     """Counts how often in a row a stream said what it had said, each time equally long before."""
 
-    def __init__(self, row: Monitor, name: str = "", memory: int = MEMORY) -> None:
+    def __init__(self, row: Monitor, name: str = "", memory: int = KEPT_PAYLOADS) -> None:
         """`row` says how often it may; `name` fills its words. `memory`: how many payloads back it looks."""
         self._row, self._name, self._memory = row, name, memory
         self._known: dict[int, int] = {}

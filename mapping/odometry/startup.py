@@ -13,17 +13,17 @@ from hal.types import NS, Array
 from mapping.odometry.inertial import InertialFilter, about_z
 from mapping.odometry.wheels import velocities
 
-SETTLE = 0.5
+SETTLE_TIME = 0.5
 """The robot must have stood still for this long [s] before gravity is taken from its accelerometer,"""
 PATIENCE_AT_START = 3.0
 """but a robot that does not stand still starts anyway after this long [s]."""
-SWAY = 0.005
+SWAY_RATE = 0.005
 """Change of the mean turn rate within the window that is no rest [rad/s]."""
-WINDOW = NS * 7 // 10
+START_WINDOW = NS * 7 // 10
 """Samples that are looked at [ns]."""
-MOVED, TURNED = 0.3, 0.2
+MOVED_SIGMA, TURNED_SIGMA = 0.3, 0.2
 """Distance and turn of a robot that nobody watched for long, one standard deviation [m, rad]."""
-SWAYED, COASTED, PUSHED = 0.02, 0.4, 0.05
+SWAY_SIGMA, COASTING_TIME, PUSH_SPEED = 0.02, 0.4, 0.05
 """For a moment alone it sways [m, rad], coasts for a while [s], and is pushed [m/s, rad/s]: without a pose the gate
 holds
 it. On open ground scans tell the place worse than that."""
@@ -48,9 +48,11 @@ class Before:
         """Distance and turn until `end` [ns], one standard deviation [m, rad]."""
         gone = (end - self.stamp) / NS
         if gone < 0.0:  # the clock was set
-            return MOVED, TURNED
-        alone = SWAYED + PUSHED * gone
-        return min(MOVED, alone + COASTED * self.speed), min(TURNED, alone + COASTED * self.rate)
+            return MOVED_SIGMA, TURNED_SIGMA
+        alone = SWAY_SIGMA + PUSH_SPEED * gone
+        return min(MOVED_SIGMA, alone + COASTING_TIME * self.speed), min(
+            TURNED_SIGMA, alone + COASTING_TIME * self.rate
+        )
 
 
 class Startup:
@@ -60,10 +62,10 @@ class Startup:
         self._first_scan = 0
 
     def ready(self, end: int, stamps: NDArray[np.int64], imu: Array) -> bool:
-        """Whether to start at `end` [ns], given the inertial samples (n, 6) of the last `WINDOW`."""
+        """Whether to start at `end` [ns], given the inertial samples (n, 6) of the last `START_WINDOW`."""
         # A trunk that still sways shows a wrong gravity, and the local map would keep that tilt for good.
         self._first_scan = self._first_scan or end
-        settled = resting(imu) and stamps[-1] - stamps[0] >= SETTLE * NS
+        settled = resting(imu) and stamps[-1] - stamps[0] >= SETTLE_TIME * NS
         return not len(imu) or settled or end - self._first_scan >= PATIENCE_AT_START * NS
 
 
@@ -117,7 +119,7 @@ def resting(imu: Array) -> bool:
     # A bias stays what it is, the last of a sway fades: taken for a bias, 1 deg/s of it tilts the map by a degree.
     half = len(imu) // 2
     first, second = imu[:half, :3].mean(axis=0), imu[half:, :3].mean(axis=0)
-    steady = np.abs(first - second).max() < SWAY
+    steady = np.abs(first - second).max() < SWAY_RATE
     return bool(quiet and steady and np.abs(imu[:, :3].mean(axis=0)).max() < 0.05)
 
 

@@ -4,16 +4,16 @@ Slip beyond that, on an edge or on loose ground, comes and goes. While it lasts 
 
 from __future__ import annotations
 
-DISTANCE = 0.3
+COMPARED_WAY = 0.3
 """Wheel distance [m] over which one comparison is made."""
-SLIP = 0.05
+SLIP_SIGMA = 0.05
 """Standard deviation of the ratio over one comparison: slip comes and goes."""
-WALK = 0.003
+RANDOM_WALK = 0.003
 """Its random walk per comparison."""
-LIMITS = (0.80, 1.15)
-SMOOTHING = 0.4
+SCALE_LIMITS = (0.80, 1.15)
+SLIP_SMOOTHING = 0.4
 """Share of the newest scan in `slip`: a scan is off by millimetres, which is a lot over 0.1 s."""
-SLIPPING = 3.0
+SLIP_FACTOR = 3.0
 """Slip goes on from sample to sample: it counts this much more than noise that averages out."""
 
 
@@ -31,24 +31,24 @@ class WheelScale:
     @property
     def noise(self) -> float:
         """Standard deviation of the forward velocity by what the wheels slip just now [m/s]."""
-        return SLIPPING * max(abs(self._slip) - self._doubt, 0.0)
+        return SLIP_FACTOR * max(abs(self._slip) - self._doubt, 0.0)
 
     def learn(self, rolled: float, driven: float, seconds: float, sigma: float) -> None:
         """Add the distances [m] of one scan interval along the body's x axis: by the wheels (unscaled), and by the
         scans with their standard deviation `sigma` [m]. What `sigma` explains is no slip."""
-        self._slip += SMOOTHING * ((driven - self.value * rolled) / seconds - self._slip)
-        self._doubt = 2.0 * SMOOTHING * sigma / seconds
+        self._slip += SLIP_SMOOTHING * ((driven - self.value * rolled) / seconds - self._slip)
+        self._doubt = 2.0 * SLIP_SMOOTHING * sigma / seconds
         self._rolled += rolled
         self._driven += driven
-        if abs(self._rolled) < DISTANCE:
+        if abs(self._rolled) < COMPARED_WAY:
             return
         ratio = self._driven / self._rolled
         self.forget()
-        if not LIMITS[0] - 0.2 < ratio < LIMITS[1] + 0.2:
+        if not SCALE_LIMITS[0] - 0.2 < ratio < SCALE_LIMITS[1] + 0.2:
             return  # spinning or blocked wheels, not a scale
-        self._variance += WALK * WALK
-        gain = self._variance / (self._variance + SLIP * SLIP)
-        self.value = min(max(self.value + gain * (ratio - self.value), LIMITS[0]), LIMITS[1])
+        self._variance += RANDOM_WALK * RANDOM_WALK
+        gain = self._variance / (self._variance + SLIP_SIGMA * SLIP_SIGMA)
+        self.value = min(max(self.value + gain * (ratio - self.value), SCALE_LIMITS[0]), SCALE_LIMITS[1])
         self._variance *= 1.0 - gain
 
     def forget(self) -> None:

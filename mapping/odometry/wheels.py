@@ -38,7 +38,7 @@ class WheelOdometry:
     """Wheel on ground: FR, FL, RR, RL."""
 
 
-LASTS = 0.25, 0.25, 100.0
+SPREAD_WEIGHT = 0.25, 0.25, 100.0
 """Weight of the spread of the wheels' velocities, body x, y, z. Ahead and sideways the wheels slip against each
 other, and the mean cancels it. Up and down they disagree while some climb a face: their contact is not below them,
 and the mean is wrong the same way for a second, 50 samples. Ten drives over kerbs of 20 cm: the height was 25, 22, 21
@@ -142,7 +142,7 @@ def leg_velocity(
             spread += (each[i, k] - mean) ** 2
         out[k] = mean
         # Fewer wheels: less to average and more likely to slip.
-        sigma[k] = math.sqrt(noise[k] * noise[k] * 4.0 / count + LASTS[k] * spread / count)
+        sigma[k] = math.sqrt(noise[k] * noise[k] * 4.0 / count + SPREAD_WEIGHT[k] * spread / count)
     return height / count
 
 

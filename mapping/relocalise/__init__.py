@@ -1,9 +1,9 @@
 """Find the robot in a prior map: search, registration and verification of a submap that was seen while it stood."""
 
 from mapping.relocalise.locate import (
-    ENOUGH,
-    LOOKS,
-    MARGIN,
+    CERTAINTY_MARGIN,
+    ENOUGH_CERTAINTY,
+    MOST_LOOKS,
     Candidate,
     PriorMap,
     Verdict,
@@ -15,9 +15,9 @@ from mapping.relocalise.search import Place, same
 from mapping.relocalise.submap import Submap
 
 __all__ = [
-    "ENOUGH",
-    "LOOKS",
-    "MARGIN",
+    "CERTAINTY_MARGIN",
+    "ENOUGH_CERTAINTY",
+    "MOST_LOOKS",
     "Candidate",
     "Place",
     "PriorMap",

@@ -1,17 +1,17 @@
 """Columns of height slices as bits of one word: a map, pooled coarse to fine, and a submap laid onto it.
 
-Bit k of a word stands for the slice that begins at `base + k SLICE`. A window of cells is pooled by OR, so a pooled
-cell holds the bits of every cell of its window. The score of a submap on it is never below the score on a single cell
-of the window."""
+Bit k of a word stands for the slice that begins at `base + k SLICE_HEIGHT`. A window of cells is pooled by OR, so a
+pooled cell holds the bits of every cell of its window. The score of a submap on it is never below the score on a
+single cell of the window."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-SLICE = 0.25
+SLICE_HEIGHT = 0.25
 """Height of a slice [m]; 64 of them are 16 m."""
-SLICES = 64
+SLICE_COUNT = 64
 
 
 @njit(cache=True)
@@ -33,10 +33,10 @@ def occupy(points, x0, y0, base, cell, columns):  # pragma: no cover - compiled
     for n in range(len(points)):
         c = np.int64(np.rint((points[n, 0] - x0) / cell))
         r = np.int64(np.rint((points[n, 1] - y0) / cell))
-        low = np.int64(np.floor((points[n, 2] - base) / SLICE - 0.5))
+        low = np.int64(np.floor((points[n, 2] - base) / SLICE_HEIGHT - 0.5))
         word = np.uint64(0)
         for k in range(low, low + 2):
-            if 0 <= k < SLICES:
+            if 0 <= k < SLICE_COUNT:
                 word |= np.uint64(1) << np.uint64(k)
         for i in range(r - 1, r + 2):
             for j in range(c - 1, c + 2):
@@ -54,8 +54,8 @@ def settle(height, trusted, x, y, resolution, x0, y0, base, cell, levels):  # pr
         r = np.int64(np.rint((y + i * resolution - y0) / cell))
         for j in range(height.shape[1]):
             if trusted[i, j]:
-                k = np.int64(np.rint((np.float64(height[i, j]) - base) / SLICE))
-                if 0 <= k < SLICES:
+                k = np.int64(np.rint((np.float64(height[i, j]) - base) / SLICE_HEIGHT))
+                if 0 <= k < SLICE_COUNT:
                     levels[r, np.int64(np.rint((x + j * resolution - x0) / cell))] |= np.uint64(
                         1
                     ) << np.uint64(k)
@@ -83,10 +83,10 @@ def matched(columns, width, row, col, shift, offsets, words):  # pragma: no cove
     the map's base.
 
     columns: pooled over windows of `width` cells. offsets (n, 2): rows and columns from the robot. words (n,) uint64:
-    bit SLICES // 2 is the slice on the robot's ground."""
+    bit SLICE_COUNT // 2 is the slice on the robot's ground."""
     rows, cols = columns.shape
     found = 0
-    lift = shift - SLICES // 2
+    lift = shift - SLICE_COUNT // 2
     for n in range(len(offsets)):
         i, j = row + offsets[n, 0], col + offsets[n, 1]
         if i + width <= 0 or j + width <= 0 or i >= rows or j >= cols:

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from mapping.relocalise.search import Columns, Place, find_places, same
-from mapping.relocalise.submap import GROUND, Submap
+from mapping.relocalise.submap import GROUND_BAND, Submap
 from mapping.relocalise.verify import Surfaces, bare_ground
 
-ENOUGH = 0.5
+ENOUGH_CERTAINTY = 0.5
 """A place is possible when this share more of the submap speaks for it than against it."""
-MARGIN, LOOKS = 0.24, 3
-"""Candidates whose certainty differs by less than MARGIN / min(looks, LOOKS) are ambiguous: errors from moved boxes
-average out over looks. In 480 places of a lane that looks the same from its ends the wrong end led by at most 0.21,
-0.06 and 0.01."""
-STRUCTURE = 150
+CERTAINTY_MARGIN, MOST_LOOKS = 0.24, 3
+"""Candidates whose certainty differs by less than CERTAINTY_MARGIN / min(looks, MOST_LOOKS) are ambiguous: errors from
+moved boxes average out over looks. In 480 places of a lane that looks the same from its ends the wrong end led by at
+most 0.21, 0.06 and 0.01."""
+STRUCTURE_POINTS = 150
 """Points of a submap that stand on the ground below which nothing can be told: open ground."""
-NEAR = (1.0, math.radians(30.0))
+NEAR_HINT = (1.0, math.radians(30.0))
 """A place within this of where the robot is said to stand is that place [m], [rad]."""
 
 Answer = Literal["located", "ambiguous", "not_found", "open_ground"]
@@ -76,9 +76,9 @@ def locate(
 
 def decide(found: list[Candidate], stands: int, hint: tuple[float, float, float] | None = None) -> Verdict:
     """Whether one of these places, the most certain first, is it after `stands` looks."""
-    if not found or found[0].certainty < ENOUGH:
+    if not found or found[0].certainty < ENOUGH_CERTAINTY:
         return Verdict("not_found", tuple(found))
-    margin = MARGIN / max(1, min(stands, LOOKS))
+    margin = CERTAINTY_MARGIN / max(1, min(stands, MOST_LOOKS))
     alike = [c for c in found if found[0].certainty - c.certainty < margin]
     if len(alike) == 1:
         return Verdict("located", tuple(found))
@@ -99,8 +99,8 @@ def possible(
     [rad], only within `radius` [m] and `turn` [rad] of which is searched.
     """
     cloud, eyes = submap.cloud()
-    structure = cloud[cloud[:, 2] > GROUND]
-    if len(structure) < STRUCTURE:
+    structure = cloud[cloud[:, 2] > GROUND_BAND]
+    if len(structure) < STRUCTURE_POINTS:
         return None
     bare = bare_ground(cloud)
     found: list[Candidate] = []
@@ -116,7 +116,7 @@ def possible(
 def near(place: Place, hint: tuple[float, float, float]) -> bool:
     """Whether a place is where the robot is said to stand."""
     apart = math.hypot(place.x - hint[0], place.y - hint[1])
-    return apart < NEAR[0] and abs(wrap(place.yaw - hint[2])) < NEAR[1]
+    return apart < NEAR_HINT[0] and abs(wrap(place.yaw - hint[2])) < NEAR_HINT[1]
 
 
 def warm_up() -> None:

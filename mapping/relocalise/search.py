@@ -17,25 +17,25 @@ from numpy.typing import NDArray
 from hal.rotation import wrap
 from hal.types import Array
 from mapping.grid import ElevationGrid
-from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, pool, settle
+from mapping.relocalise.columns import SLICE_COUNT, SLICE_HEIGHT, matched, occupy, pool, settle
 
-CELL = 0.125
+CELL_SIDE = 0.125
 """Distance of the places that are tried [m]."""
-CELLS = 2_000_000
+MOST_CELLS = 2_000_000
 """Of the pooled maps at most, 16 MB each: the cells of a larger map are larger."""
-LEVELS = 6
+LEVEL_COUNT = 6
 """Pooled maps: windows of 1 to 32 cells."""
-KEEP = 0.75
+KEEP_SHARE = 0.75
 """Places that match this share of what the best one does are looked at."""
-LEAST = 0.3
+LEAST_SHARE = 0.3
 """Share of the submap that a place matches at least."""
-APART = (0.5, math.radians(15.0))
+BIN_SIZE = (0.5, math.radians(15.0))
 """Size of the bins [m], [rad] of which one place is kept."""
 STAND_NEAR = 3
 """Cells around known ground where the robot may stand too: a box that stood there while the map was made has gone."""
-STEP = 0.25
+HEADING_STEP = 0.25
 """What a wrong heading moves the far part of a submap by at most, from one to the next [m]."""
-BELOW = 2.0
+BASE_DEPTH = 2.0
 """The slices begin this far below the lowest ground [m]."""
 
 
@@ -60,12 +60,12 @@ class Columns:
         corners = [cloud[:, :2].astype(np.float64), *map(_corners, known)] if known else [np.zeros((1, 2))]
         both = np.concatenate(corners)
         low, high = both.min(axis=0), both.max(axis=0)
-        cell = CELL
-        while np.prod((high - low) / cell + 3) > CELLS:
+        cell = CELL_SIDE
+        while np.prod((high - low) / cell + 3) > MOST_CELLS:
             cell *= 2.0
         x0, y0 = low - cell
         cols, rows = (int(n) for n in np.ceil((high - low) / cell) + 3)
-        base = min((float(block.height[block.trusted].min()) for block in known), default=0.0) - BELOW
+        base = min((float(block.height[block.trusted].min()) for block in known), default=0.0) - BASE_DEPTH
         occupied = np.zeros((rows, cols), np.uint64)
         occupy(np.asarray(cloud, np.float64), x0, y0, base, cell, occupied)
         places = np.zeros((rows, cols), np.uint64)
@@ -75,7 +75,7 @@ class Columns:
             places = _spread(places, axis, STAND_NEAR)
         pooled = [occupied], [places]
         for fine in pooled:
-            for k in range(LEVELS - 1):
+            for k in range(LEVEL_COUNT - 1):
                 fine.append(pool(fine[-1], 1 << k))
         return Columns((float(x0), float(y0)), base, cell, tuple(pooled[0]), tuple(pooled[1]))
 
@@ -129,7 +129,7 @@ def find_places(
     xy, words = as_columns(structure)
     bits = int(sum(int(word).bit_count() for word in words))
     far = max(2.0, float(np.percentile(np.hypot(xy[:, 0], xy[:, 1]), 90)))
-    turns = math.ceil(2.0 * math.pi * far / STEP)
+    turns = math.ceil(2.0 * math.pi * far / HEADING_STEP)
     yaws: Array = np.linspace(0.0, 2.0 * math.pi, turns, endpoint=False)
     window = np.array([0, 0, *columns.ground[0].shape], np.int64)
     if near is not None:
@@ -143,16 +143,16 @@ def find_places(
         c, s = math.cos(yaw), math.sin(yaw)
         offsets[k, :, 0] = np.rint((s * xy[:, 0] + c * xy[:, 1]) / columns.cell)
         offsets[k, :, 1] = np.rint((c * xy[:, 0] - s * xy[:, 1]) / columns.cell)
-    per_bin = max(1, round(APART[0] / columns.cell))
-    turn_bins = max(1, round(APART[1] / (2.0 * math.pi / turns)))
+    per_bin = max(1, round(BIN_SIZE[0] / columns.cell))
+    turn_bins = max(1, round(BIN_SIZE[1] / (2.0 * math.pi / turns)))
     rows, cols = columns.ground[0].shape
     bins = np.zeros((-(-len(yaws) // turn_bins), -(-rows // per_bin), -(-cols // per_bin)), np.int32)
     best = np.empty((*bins.shape, 4), np.int32)
     found = branch_and_bound(
-        columns.occupied, columns.ground, offsets, words, window, int(LEAST * bits), KEEP, per_bin, turn_bins, bins,
-        best
+        columns.occupied, columns.ground, offsets, words, window, int(LEAST_SHARE * bits), KEEP_SHARE, per_bin,
+        turn_bins, bins, best
     )  # fmt: skip
-    keep = np.argwhere(bins >= max(1, int(KEEP * found)))
+    keep = np.argwhere(bins >= max(1, int(KEEP_SHARE * found)))
     keep = keep[np.argsort(-bins[tuple(keep.T)], kind="stable")]
     places: list[Place] = []
     for at in keep:
@@ -160,7 +160,7 @@ def find_places(
         place = Place(
             columns.origin[0] + col * columns.cell,
             columns.origin[1] + row * columns.cell,
-            columns.base + level * SLICE,
+            columns.base + level * SLICE_HEIGHT,
             float(wrap(yaws[k])),
             float(bins[tuple(at)] / bits),
         )
@@ -173,18 +173,18 @@ def find_places(
 
 def same(a: Place, b: Place) -> bool:
     """Whether two places are one, found twice."""
-    near = math.hypot(a.x - b.x, a.y - b.y) < APART[0] and abs(a.z - b.z) < 1.0
-    return near and abs(wrap(a.yaw - b.yaw)) < APART[1]
+    near = math.hypot(a.x - b.x, a.y - b.y) < BIN_SIZE[0] and abs(a.z - b.z) < 1.0
+    return near and abs(wrap(a.yaw - b.yaw)) < BIN_SIZE[1]
 
 
 def as_columns(structure: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.uint64]]:
     """Points (n, 3) [m] as columns of half a voxel: mean x, y (m, 2), and the filled slices (m,) as words; see
     `matched`."""
-    key = np.floor(structure[:, :2] / (2.0 * CELL)).astype(np.int64)
+    key = np.floor(structure[:, :2] / (2.0 * CELL_SIDE)).astype(np.int64)
     _, column = np.unique(key, axis=0, return_inverse=True)
     column = column.reshape(-1)
-    level = np.floor(structure[:, 2] / SLICE).astype(np.int64) + SLICES // 2
-    inside = (level >= 0) & (level < SLICES)
+    level = np.floor(structure[:, 2] / SLICE_HEIGHT).astype(np.int64) + SLICE_COUNT // 2
+    inside = (level >= 0) & (level < SLICE_COUNT)
     words = np.zeros(int(column.max()) + 1, np.uint64)
     np.bitwise_or.at(words, column[inside], np.uint64(1) << level[inside].astype(np.uint64))
     count = np.bincount(column)

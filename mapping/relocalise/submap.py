@@ -10,18 +10,18 @@ from hal.rotation import rotation as matrix_of
 from hal.rotation import rpy_of
 from mapping.thin_cloud import ThinCloud
 
-FINE = 0.1
+SUBMAP_VOXEL = 0.1
 """Voxels of the submap [m]: registration needs more than the search."""
-NEAREST = 0.6
+NEAREST_POINT = 0.6
 """Nearer points are the robot itself or the ground beneath it [m]."""
-GROUND = 0.2
+GROUND_BAND = 0.2
 """What is higher than this above the robot's ground stands on it, or is other ground [m]."""
 
 
 class Submap:
     """Scans in, one cloud out."""
 
-    def __init__(self, voxel: float = FINE) -> None:
+    def __init__(self, voxel: float = SUBMAP_VOXEL) -> None:
         """`voxel`: edge of what becomes one point [m]."""
         self._voxel = voxel
         self._stands: list[tuple[ThinCloud, NDArray[np.float64]]] = []
@@ -69,7 +69,7 @@ class Submap:
         for thin, eye in self._stands:
             cloud = (thin.points - self.ground) @ back.T
             seen = (eye - self.ground) @ back.T
-            cloud = cloud[np.hypot(*(cloud - seen)[:, :2].T) > NEAREST]
+            cloud = cloud[np.hypot(*(cloud - seen)[:, :2].T) > NEAREST_POINT]
             points.append(cloud)
             eyes.append(np.broadcast_to(seen, cloud.shape))
         return np.concatenate(points), np.concatenate(eyes)

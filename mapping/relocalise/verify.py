@@ -13,32 +13,32 @@ from numpy.typing import NDArray
 from hal.rotation import rotation_rpy, wrap
 from mapping.grid import ElevationGrid
 from mapping.relocalise.search import Place
-from mapping.relocalise.submap import GROUND
+from mapping.relocalise.submap import GROUND_BAND
 from mapping.thin_cloud import FREE, ThinCloud, find_voxel, voxel_key
 
-NEIGHBOURS = 10
+NORMAL_NEIGHBOURS = 10
 """Points behind the normal of one."""
-PULL = (*(0.6,) * 6, *(0.3,) * 6)
+PULL_REACH = (*(0.6,) * 6, *(0.3,) * 6)
 """Farthest partner of a point [m] in each step of the registration."""
-ON, REACH = 0.06, 0.04
+ON_SURFACE, ON_GROUND = 0.06, 0.04
 """A point lies on a surface of the cloud within this, and on the ground within this of its heights around [m]."""
-PATCH = 0.35
+PATCH_RADIUS = 0.35
 """The surface around a point of the map reaches this far [m]."""
-FACING = 0.35
+FACING_COSINE = 0.35
 """Cosine of ray and normal above which a ray passes through a surface and not along it."""
-SHORT = 0.5
+RAY_ENDS = 0.5
 """The two ends of a ray prove nothing [m]."""
-TALL = 1.2
+HANGING_HEIGHT = 1.2
 """Something up to this high above known ground contradicts it [m]; what hangs higher may always hang there."""
-LOW, OTHER = 0.25, 0.05
-"""Bare ground that differs by more than OTHER from what the map knows [m] is other ground: ramps and kerbs are all that
-tells the two ends of a lane apart. What differs by more than LOW was put there or taken away: boxes, which are moved,
-are higher."""
-WEIGHT, FEW = 2.0, 60
+LOW_HEIGHT, OTHER_HEIGHT = 0.25, 0.05
+"""Bare ground that differs by more than OTHER_HEIGHT from what the map knows [m] is other ground: ramps and kerbs are
+all that tells the two ends of a lane apart. What differs by more than LOW_HEIGHT was put there or taken away: boxes,
+which are moved, are higher."""
+OTHER_WEIGHT, FEW_COLUMNS = 2.0, 60
 """Of the share of other ground, and so many columns of bare ground say half of what many say."""
-SQUARE, EVEN = 0.12, 0.03
+SQUARE_SIDE, EVEN_BAND = 0.12, 0.03
 """Side of the squares of known ground, and how far a cell may lie off the plane through its square [m]."""
-COLUMN, THIN = 0.1, 0.08
+COLUMN_SIDE, THIN_HEIGHT = 0.1, 0.08
 """Side of the columns of a submap, and what is higher is no bare ground [m]."""
 
 
@@ -53,14 +53,14 @@ class Surfaces:
         self.voxel = thin.voxel
         self.target = small_gicp.PointCloud(self.points)
         self.tree = small_gicp.KdTree(self.target)
-        small_gicp.estimate_normals_covariances(self.target, self.tree, NEIGHBOURS)
+        small_gicp.estimate_normals_covariances(self.target, self.tree, NORMAL_NEIGHBOURS)
         self.normals = np.ascontiguousarray(np.asarray(self.target.normals())[:, :3])
         self.ground = Ground(ground)
 
     def register(self, cloud: NDArray[np.float64], place: Place) -> Place:
         """The place of a submap (n, 3), exactly: point to plane in x, y, z and yaw, as gravity is known."""
         x, y, z, yaw = place.x, place.y, place.z, place.yaw
-        for reach in PULL:
+        for reach in PULL_REACH:
             pose = pose_of(Place(x, y, z, yaw, place.share))
             there = cloud @ pose[:3, :3].T + pose[:3, 3]
             near, square = self._nearest(there)
@@ -81,9 +81,9 @@ class Surfaces:
         the direction that they hold least. 0 in a corridor without ends, along which every place fits.
         """
         pose = pose_of(place)
-        there = cloud[cloud[:, 2] > GROUND] @ pose[:3, :3].T + pose[:3, 3]
+        there = cloud[cloud[:, 2] > GROUND_BAND] @ pose[:3, :3].T + pose[:3, 3]
         near, square = self._nearest(there)
-        normal = self.normals[near[square < PATCH**2], :2]
+        normal = self.normals[near[square < PATCH_RADIUS**2], :2]
         held = np.linalg.eigvalsh(normal.T @ normal)
         return float(held[0] / max(held.sum(), 1e-9))
 
@@ -109,15 +109,15 @@ class Surfaces:
         near, square = self._nearest(there)
         off = np.abs(np.einsum("ij,ij->i", there - self.points[near], self.normals[near]))
         over = there[:, 2] - self.ground.below(there)
-        on = ((square < PATCH**2) & (off < ON)) | self.ground.met(there)
-        structure = cloud[:, 2] > GROUND
+        on = ((square < PATCH_RADIUS**2) & (off < ON_SURFACE)) | self.ground.met(there)
+        structure = cloud[:, 2] > GROUND_BAND
         met = np.unique(near[on & structure]).size
         gone = int(pierced(eye, there, self.points, self.normals, *self.index, self.voxel).sum())
-        stands = structure & ~on & (over > GROUND) & (over < TALL)
+        stands = structure & ~on & (over > GROUND_BAND) & (over < HANGING_HEIGHT)
         agree = share(on, structure) * share(on, ~structure)
-        compared = bare & (np.abs(over) < LOW)
-        other = int((np.abs(over[compared]) > OTHER).sum()) / (int(compared.sum()) + FEW)
-        return agree, share(stands, structure) + gone / max(1, gone + met) + WEIGHT * other
+        compared = bare & (np.abs(over) < LOW_HEIGHT)
+        other = int((np.abs(over[compared]) > OTHER_HEIGHT).sum()) / (int(compared.sum()) + FEW_COLUMNS)
+        return agree, share(stands, structure) + gone / max(1, gone + met) + OTHER_WEIGHT * other
 
 
 def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
@@ -133,7 +133,7 @@ class Ground:
     def __init__(self, ground: Sequence[ElevationGrid]) -> None:
         """ground: blocks of one lattice; of a square that lies in several one part is known."""
         res = ground[0].resolution
-        k = max(2, round(SQUARE / res))
+        k = max(2, round(SQUARE_SIDE / res))
         self._side = k * res
         first = [tuple(round(v / res) for v in block.origin) for block in ground]
         col, row = min(c for c, _ in first), min(r for _, r in first)
@@ -171,7 +171,9 @@ class Ground:
     def met(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of (n, 3) lie on the ground or on a face between its heights, as those of a wall."""
         square, _ = self._under(points)
-        return np.asarray((points[:, 2] > square[:, 0] - REACH) & (points[:, 2] < square[:, 1] + REACH))
+        return np.asarray(
+            (points[:, 2] > square[:, 0] - ON_GROUND) & (points[:, 2] < square[:, 1] + ON_GROUND)
+        )
 
 
 def _squares(z: NDArray[np.floating], k: int, res: float) -> NDArray[np.float32]:
@@ -195,14 +197,14 @@ def _squares(z: NDArray[np.floating], k: int, res: float) -> NDArray[np.float32]
     mean = inside.mean(axis=(2, 3))
     x, y = (np.einsum(f"rcij,{a}->rc", inside, across) / (k * float(across @ across)) for a in "ji")
     plane = mean[..., None, None] + x[..., None, None] * across + y[..., None, None] * across[:, None]
-    even = np.abs(inside - plane).max(axis=(2, 3)) < EVEN
+    even = np.abs(inside - plane).max(axis=(2, 3)) < EVEN_BAND
     out[..., 2:] = np.where(even[..., None], np.stack([mean, x, y], axis=-1), np.nan)
     return out
 
 
 def bare_ground(cloud: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which points (n,) of a submap (n, 3) [m] are ground: alone in their column, nothing higher in those around it."""
-    row, col = np.floor(cloud[:, 1::-1] / COLUMN).astype(np.int64).T
+    row, col = np.floor(cloud[:, 1::-1] / COLUMN_SIDE).astype(np.int64).T
     keys, column = np.unique(_key(row, col), return_inverse=True)
     column = column.reshape(-1)
     low, high = np.full(len(keys), np.inf), np.full(len(keys), -np.inf)
@@ -213,7 +215,7 @@ def bare_ground(cloud: NDArray[np.float64]) -> NDArray[np.bool_]:
         key = keys + beside
         at = np.searchsorted(keys, key).clip(max=len(keys) - 1)
         top = np.maximum(top, np.where(keys[at] == key, high[at], -np.inf))
-    alone: NDArray[np.bool_] = (high - low < THIN) & (top - low < LOW)
+    alone: NDArray[np.bool_] = (high - low < THIN_HEIGHT) & (top - low < LOW_HEIGHT)
     return alone[column]
 
 
@@ -238,12 +240,12 @@ def pierced(eyes, ends, surfaces, normals, table, keys, voxel):  # pragma: no co
     for n in range(len(ends)):
         dx, dy, dz = ends[n, 0] - eyes[n, 0], ends[n, 1] - eyes[n, 1], ends[n, 2] - eyes[n, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        if length < 2.0 * SHORT:
+        if length < 2.0 * RAY_ENDS:
             continue
         dx, dy, dz = dx / length, dy / length, dz / length
-        s = SHORT
+        s = RAY_ENDS
         last = np.int64(0)
-        while s < length - SHORT:
+        while s < length - RAY_ENDS:
             key = voxel_key(eyes[n, 0] + s * dx, eyes[n, 1] + s * dy, eyes[n, 2] + s * dz, voxel)
             s += 0.4 * voxel
             if key == last:
@@ -253,11 +255,11 @@ def pierced(eyes, ends, surfaces, normals, table, keys, voxel):  # pragma: no co
             if m == FREE or out[m]:
                 continue
             facing = dx * normals[m, 0] + dy * normals[m, 1] + dz * normals[m, 2]
-            if abs(facing) < FACING:
+            if abs(facing) < FACING_COSINE:
                 continue
             px, py, pz = surfaces[m, 0] - eyes[n, 0], surfaces[m, 1] - eyes[n, 1], surfaces[m, 2] - eyes[n, 2]
             along = (px * normals[m, 0] + py * normals[m, 1] + pz * normals[m, 2]) / facing
-            if along < SHORT or along > length - SHORT:
+            if along < RAY_ENDS or along > length - RAY_ENDS:
                 continue
             aside = (px - along * dx) ** 2 + (py - along * dy) ** 2 + (pz - along * dz) ** 2
             out[m] = aside < (0.3 * voxel) ** 2

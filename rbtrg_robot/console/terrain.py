@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hal.rotation import rotation
 from hal.types import Capabilities
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
-from mapping.elevation.mirror import SIDE, CellWindow, MapMirror
+from mapping.elevation.mirror import TILE_SIDE, CellWindow, MapMirror
 from mapping.filling import slope_and_step
 
 SHOWN = ("elevation", "trusted", "source")
@@ -48,7 +48,9 @@ class _Tile:
     version: int
     seen: NDArray[np.float64]
     """Time of the newest look at each cell; -inf where there was none."""
-    heights: NDArray[np.int16] = field(default_factory=lambda: np.full((SIDE, SIDE), UNKNOWN, np.int16))
+    heights: NDArray[np.int16] = field(
+        default_factory=lambda: np.full((TILE_SIDE, TILE_SIDE), UNKNOWN, np.int16)
+    )
     told: bool = False
     """When its cells were seen was told with their heights."""
     body: bytes | None = None
@@ -94,9 +96,9 @@ class Terrain:
         self._mirror.stay_within(self._mirror.view(patch.middle))
         self._version += 1
         age = patch.layers.get("age")
-        for row in range(window.row // SIDE, (window.row + window.rows - 1) // SIDE + 1):
-            for col in range(window.col // SIDE, (window.col + window.cols - 1) // SIDE + 1):
-                tile = self._tiles.setdefault((row, col), _Tile(0, np.full((SIDE, SIDE), -np.inf)))
+        for row in range(window.row // TILE_SIDE, (window.row + window.rows - 1) // TILE_SIDE + 1):
+            for col in range(window.col // TILE_SIDE, (window.col + window.cols - 1) // TILE_SIDE + 1):
+                tile = self._tiles.setdefault((row, col), _Tile(0, np.full((TILE_SIDE, TILE_SIDE), -np.inf)))
                 tile.version, tile.body = self._version, None
                 if age is not None:
                     self._take_age(tile, row, col, window, age)
@@ -105,10 +107,13 @@ class Terrain:
         self, tile: _Tile, row: int, col: int, window: CellWindow, age: NDArray[np.float32]
     ) -> None:
         """The map's own word on when cells were seen."""
-        r0, r1 = max(row * SIDE, window.row), min((row + 1) * SIDE, window.row + window.rows)
-        c0, c1 = max(col * SIDE, window.col), min((col + 1) * SIDE, window.col + window.cols)
+        r0, r1 = max(row * TILE_SIDE, window.row), min((row + 1) * TILE_SIDE, window.row + window.rows)
+        c0, c1 = max(col * TILE_SIDE, window.col), min((col + 1) * TILE_SIDE, window.col + window.cols)
         part = age[r0 - window.row : r1 - window.row, c0 - window.col : c1 - window.col]
-        here = slice(r0 - row * SIDE, r1 - row * SIDE), slice(c0 - col * SIDE, c1 - col * SIDE)
+        here = (
+            slice(r0 - row * TILE_SIDE, r1 - row * TILE_SIDE),
+            slice(c0 - col * TILE_SIDE, c1 - col * TILE_SIDE),
+        )
         tile.seen[here] = np.where(np.isfinite(part), time.monotonic() - part, -np.inf)
         tile.told = True
         tile.looks += 1
@@ -123,17 +128,17 @@ class Terrain:
         places = points[np.isfinite(points).all(axis=1)] @ rotation(turn).T + position
         row, col = (np.rint(places[:, k] / mirror.resolution).astype(np.int64) for k in (1, 0))
         now = time.monotonic()
-        number = (row // SIDE << 32) + (col // SIDE)
+        number = (row // TILE_SIDE << 32) + (col // TILE_SIDE)
         order = np.argsort(number)
         _, first = np.unique(number[order], return_index=True)
         for mine in np.split(order, first[1:]):
             if not len(mine):
                 continue
-            key = int(row[mine[0]]) // SIDE, int(col[mine[0]]) // SIDE
+            key = int(row[mine[0]]) // TILE_SIDE, int(col[mine[0]]) // TILE_SIDE
             layers, tile = mirror.tile(key), self._tiles.get(key)
             if layers is None or tile is None:
                 continue
-            r, c = row[mine] % SIDE, col[mine] % SIDE
+            r, c = row[mine] % TILE_SIDE, col[mine] % TILE_SIDE
             agrees = np.abs(places[mine, 2] - layers[HEIGHT][r, c]) < AGREES
             if agrees.any():
                 tile.seen[r[agrees], c[agrees]] = now
@@ -154,7 +159,7 @@ class Terrain:
         for key in self._nearest((k for k, tile in self._tiles.items() if tile.body), sent, x, y, "version"):
             tile = self._tiles[key]
             sent[key] = tile.version
-            parts += [HEADER.pack(key[0] * SIDE, key[1] * SIDE), tile.body or b""]
+            parts += [HEADER.pack(key[0] * TILE_SIDE, key[1] * TILE_SIDE), tile.body or b""]
         if not parts:
             return b""
         # A map that began anew is told as such: pages drop what they have.
@@ -169,14 +174,14 @@ class Terrain:
             sent[key] = tile.looks
             age = np.minimum(now - tile.seen, 254.0)
             age[np.isinf(tile.seen)] = 255.0
-            parts += [HEADER.pack(key[0] * SIDE, key[1] * SIDE), age.astype(np.uint8).tobytes()]
+            parts += [HEADER.pack(key[0] * TILE_SIDE, key[1] * TILE_SIDE), age.astype(np.uint8).tobytes()]
         return b"".join(parts)
 
     def _nearest(
         self, keys: Iterable[Key], sent: dict[Key, int], x: float, y: float, version: str
     ) -> list[Key]:
         """Those of which a newer version is there, the nearest first, at most MOST."""
-        size = SIDE * self._mirror.resolution
+        size = TILE_SIDE * self._mirror.resolution
         due = [key for key in keys if sent.get(key) != getattr(self._tiles[key], version)]
         due.sort(key=lambda key: (size * (key[0] + 0.5) - y) ** 2 + (size * (key[1] + 0.5) - x) ** 2)
         return due[:MOST]
@@ -185,9 +190,9 @@ class Terrain:
         mirror = self._mirror
         # A cell more on each side, so that slopes do not end at the tile.
         outer = mirror.read(
-            CellWindow(key[0] * SIDE - 1, key[1] * SIDE - 1, SIDE + 2, SIDE + 2), SHOWN
+            CellWindow(key[0] * TILE_SIDE - 1, key[1] * TILE_SIDE - 1, TILE_SIDE + 2, TILE_SIDE + 2), SHOWN
         ).layers
-        inner = (slice(1, 1 + SIDE), slice(1, 1 + SIDE))
+        inner = (slice(1, 1 + TILE_SIDE), slice(1, 1 + TILE_SIDE))
         slope, step = slope_and_step(outer["elevation"], mirror.resolution)
         height, trusted, source = (outer[name][inner] for name in SHOWN)
         risk = ground_risk(slope[inner], step[inner], mirror.resolution, self._slope, self._step)

@@ -20,7 +20,7 @@ from mapping.elevation.exchange import MapError
 from mapping.elevation.export import Limits, traversal_cost
 from mapping.elevation.files import checked_cloud
 from mapping.elevation.map import AT_A_TIME, ElevationMap
-from mapping.elevation.mirror import WHOLE
+from mapping.elevation.mirror import WHOLE_CELLS
 from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
@@ -414,7 +414,7 @@ class ElevationStage:
     def _blocks(self, action: str) -> Iterator[tuple[Topic, msg.Message]]:
         """The map block by block. Raises MapError while it is empty."""
         if action == "full":
-            return ((t.MAP_FULL, patch_msg(self.map.complete(box))) for box in self.map.boxes(WHOLE))
+            return ((t.MAP_FULL, patch_msg(self.map.complete(box))) for box in self.map.boxes(WHOLE_CELLS))
         return ((t.MAP_PARTS, part) for part in map_parts(self.map.boxes(), self.map.read, self.map.stamp))
 
     def _take_over(self, status: msg.MapStatus) -> None:

@@ -14,7 +14,7 @@ from hal.rotation import wrap
 from hal.types import NS, Extrinsics, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.poses import checked_pose
-from mapping.grid import FARTHEST
+from mapping.grid import FARTHEST_PLACE
 from mapping.odometry.alone import ALONE, LidarAlone, WheelsAlone
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.startup import Before
@@ -290,7 +290,7 @@ class OdometryStage:
 
 def _possible(place: Planar) -> bool:
     """Whether something can lie there."""
-    return all(map(math.isfinite, place)) and max(map(abs, place[:2])) < FARTHEST
+    return all(map(math.isfinite, place)) and max(map(abs, place[:2])) < FARTHEST_PLACE
 
 
 def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hal.limbs import MOTORS
 from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarName, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
-from mapping.grid import FARTHEST
+from mapping.grid import FARTHEST_PLACE
 from rbtrg_robot import msg
 from rbtrg_robot.wire.messages import header, stamp_of
 
@@ -310,7 +310,7 @@ def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
     """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
     info = message.info
     sides, place = (info.length_x, info.length_y), (info.pose.position.x, info.pose.position.y)
-    within = all(abs(x) + abs(side) < 0.9 * FARTHEST for x, side in zip(place, sides, strict=True))
+    within = all(abs(x) + abs(side) < 0.9 * FARTHEST_PLACE for x, side in zip(place, sides, strict=True))
     if not (MIN_CELL <= info.resolution <= MAX_CELL and within):
         raise LayoutError(f"a map of {sides} m at {place} in cells of {info.resolution} m")
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)

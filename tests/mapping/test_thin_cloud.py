@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hal.rotation import rotation_rpy
-from mapping.thin_cloud import REACH, ThinCloud
+from mapping.thin_cloud import POINT_REACH, ThinCloud
 
 
 def oracle(points: np.ndarray, voxel: float) -> np.ndarray:
@@ -30,7 +30,7 @@ def test_each_voxel_keeps_the_mean_of_its_points_also_after_the_table_has_grown(
 
 def test_points_that_are_not_finite_or_too_far_and_those_beyond_the_limit_are_left_out() -> None:
     cloud = ThinCloud(1.0, limit=2)
-    points = np.array([[0.5, 0, 0], [np.nan, 0, 0], [REACH + 1.0, 0, 0], [3.5, 0, 0]], np.float32)
+    points = np.array([[0.5, 0, 0], [np.nan, 0, 0], [POINT_REACH + 1.0, 0, 0], [3.5, 0, 0]], np.float32)
     cloud.add(points, np.eye(3), np.zeros(3))
     assert cloud.points.tolist() == [[0.5, 0.0, 0.0], [3.5, 0.0, 0.0]]
     cloud.enter(np.array([[9.5, 0, 0], [0.7, 0, 0]], np.float32))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from hal.lidar.spec import LIDARS
-from tools.lidar_study import BINS, LEVEL, heights, study
+from tools.lidar_study import BIN_EDGES, LEVEL, heights, study
 from tools.synthetic import SyntheticRun
 from tools.synthetic_scenes import corridor
 
@@ -20,7 +20,7 @@ def test_the_strip_ahead_of_an_xt16_is_trusted_and_right() -> None:
     motion = replace(LEVEL, speed=0.4)
     run = SyntheticRun(corridor(6.0, 3), motion, LIDARS["xt16"].decimated(2), duration=6.6, seed=1)
     score = study(run)
-    assert score.trusted.shape == score.rmse.shape == (len(BINS) - 1,)
+    assert score.trusted.shape == score.rmse.shape == (len(BIN_EDGES) - 1,)
     assert (score.trusted[:4] > 0.95).all()
     assert (score.rmse[:4] < 0.03).all()
     assert 0.0 < score.odometry < 0.02

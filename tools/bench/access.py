@@ -53,9 +53,9 @@ MAY_PUBLISH = {"operator": OPERATOR_MAY, "observer": OBSERVER_MAY, "removed": se
 MAY_PUBLISH |= {"robot": set(), NOBODY: set()}
 MAY_ENTER = {"operator", "observer", "removed"}
 MAY_SEE = {"operator", "observer"}
-PATIENCE = 20.0
+LONGEST_WAIT = 20.0
 """Longest wait [s] for what must arrive."""
-QUIET = 1.0
+QUIET_WAIT = 1.0
 """Wait [s] for what must not arrive, after what was sent later has."""
 
 
@@ -119,7 +119,7 @@ class Site:
         priority.
         """
         last = (wire.key(t.ROBOT_STOP, Scope()), mark + b", the last")
-        until = time.monotonic() + QUIET
+        until = time.monotonic() + QUIET_WAIT
         while True:
             for name in names:
                 session.put(name, mark)
@@ -132,8 +132,8 @@ class Site:
         """Names of the topics of which messages from the stack reach the outside."""
         bus.subscribe(topics)
         seen: set[str] = set()
-        until = time.monotonic() + QUIET
-        longest = time.monotonic() + PATIENCE
+        until = time.monotonic() + QUIET_WAIT
+        longest = time.monotonic() + LONGEST_WAIT
         while len(seen) < len(topics) and time.monotonic() < (longest if seen else until):
             for topic in topics:
                 self.inside.publish(topic, topic.kind(), 1)
@@ -145,7 +145,7 @@ class Site:
         name = wire.node_token(Scope(), str(bus.session.zid()), "tracker")
         bus.session.liveliness().declare_token(name)
         bus.serve("invented", lambda reply: reply(b"false"))
-        return self.inside.ask("invented", timeout=QUIET) is not None or bool(
+        return self.inside.ask("invented", timeout=QUIET_WAIT) is not None or bool(
             {"tracker", "cli"} & self.inside.processes()
         )
 
@@ -209,7 +209,7 @@ def look(place: Site, who: str) -> Cells:
 
     def looks(bus: Bus) -> dict[str, bool]:
         bus.subscribe([t.ROBOT_STATE])
-        until = time.monotonic() + (PATIENCE if who in MAY_SEE else QUIET)
+        until = time.monotonic() + (LONGEST_WAIT if who in MAY_SEE else QUIET_WAIT)
         latched = False
         while not latched and time.monotonic() < until:
             latched = bool(bus.take(0.1))
@@ -217,7 +217,7 @@ def look(place: Site, who: str) -> Cells:
             "latched": latched,
             "tokens": "robot" in bus.processes(),
             "status": bus.ask("status") == b'"well"',
-            "other question": bus.ask("map", timeout=QUIET) is not None,
+            "other question": bus.ask("map", timeout=QUIET_WAIT) is not None,
         }
 
     names = ("latched", "tokens", "status", "other question")

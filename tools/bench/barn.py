@@ -27,15 +27,15 @@ from tools.bench.records import Records, numbers
 from tools.bench.report import Report
 from tools.bench.spread import spread
 
-FASTEST = 2.0
+CHALLENGE_SPEED = 2.0
 """[m/s] of the robot of the challenge."""
-LONGEST = 100.0
+LONGEST_DRIVE = 100.0
 """[s] for a world."""
-ARRIVED = 1.0
+GOAL_RADIUS = 1.0
 """[m] from the goal that counts as reached there."""
-TOUCH = 5.0
+TOUCH_FORCE = 5.0
 """Normal force [N] on the body or on the side of a wheel, higher than anything lies on the ground, that is a touch."""
-WANTED = 0.95
+WANTED_SHARE = 0.95
 
 
 def run(args: list[str]) -> Report:
@@ -62,7 +62,7 @@ def run(args: list[str]) -> Report:
         drives = [records.done[_key(robot, name)] for name in names]
         key = f"barn.{describe(robot).name}"
         reached = [d for d in drives if d["reached"]]
-        report.rate(f"{key}.reached", len(reached), len(drives), WANTED)
+        report.rate(f"{key}.reached", len(reached), len(drives), WANTED_SHARE)
         report.rate(f"{key}.touched", sum(d["touched"] for d in drives), len(drives), 0.0, at_least=False)
         report.add(f"{key}.metric", float(np.mean([d["metric"] for d in drives])), "of 0.5 at most")
         if reached:
@@ -93,8 +93,8 @@ def drive(robot: str, name: str) -> dict[str, Any]:
         stack.wait_ready()
         sim = stack.robot.backend.simulation  # type: ignore[attr-defined]
         began, last = stack.seconds, sim.position
-        stack.send_goal(*GOAL, timeout=LONGEST, accept_risk=True)
-        while stack.seconds - began < LONGEST:
+        stack.send_goal(*GOAL, timeout=LONGEST_DRIVE, accept_risk=True)
+        while stack.seconds - began < LONGEST_DRIVE:
             stack.run(0.05)
             contacts = sim.contacts()
             high = (
@@ -102,7 +102,7 @@ def drive(robot: str, name: str) -> dict[str, Any]:
                 if len(contacts.bodies)
                 else np.zeros(0, bool)
             )
-            touched |= bool((contacts.forces[high] > TOUCH).any())
+            touched |= bool((contacts.forces[high] > TOUCH_FORCE).any())
             way += float(np.linalg.norm((sim.position - last)[:2]))
             last = sim.position
             status = stack.newest.get(t.GOAL_STATUS)
@@ -110,8 +110,8 @@ def drive(robot: str, name: str) -> dict[str, Any]:
                 break
         took = stack.seconds - began
     away = math.dist(last[:2], GOAL[:2])
-    reached = status is not None and status.state == "reached" and away < ARRIVED
-    best = least / FASTEST
+    reached = status is not None and status.state == "reached" and away < GOAL_RADIUS
+    best = least / CHALLENGE_SPEED
     metric = best / min(max(took, 2.0 * best), 8.0 * best) if reached and not touched else 0.0
     return {
         "key": _key(robot, name),

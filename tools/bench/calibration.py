@@ -23,12 +23,12 @@ from tools.bench.report import Report
 
 Array = NDArray[np.float64]
 
-BINS = 10
+BIN_COUNT = 10
 LEAST_DRIVES = 30
 """A decile with fewer drives is told, not judged."""
 MEAN_OFF, DECILE_OFF = 0.03, 0.10
 """Predicted and observed rate differ by no more, over all drives and in a decile."""
-WIDE = 1.2816
+NORMAL_QUANTILE = 1.2816
 """Quantile of the normal distribution of a two-sided interval at 80 %."""
 
 
@@ -59,10 +59,10 @@ def drives(records: Iterable[Mapping[str, Any]]) -> tuple[Array, Array]:
 
 def deciles(told: Array, failed: Array) -> list[tuple[int, float, float]]:
     """Number of drives, mean prediction and observed rate of each tenth of the predictions from 0 to 1 that has any."""
-    tenth = np.minimum((told * BINS).astype(int), BINS - 1)
+    tenth = np.minimum((told * BIN_COUNT).astype(int), BIN_COUNT - 1)
     return [
         (int(here.sum()), float(told[here].mean()), float(failed[here].mean()))
-        for here in (tenth == k for k in range(BINS))
+        for here in (tenth == k for k in range(BIN_COUNT))
         if here.any()
     ]
 
@@ -75,7 +75,7 @@ def table(told: Array, failed: Array) -> Report:
     if not n:
         return report
     off = told - failed
-    half = WIDE * float(off.std(ddof=1)) / math.sqrt(n) if n > 1 else 1.0
+    half = NORMAL_QUANTILE * float(off.std(ddof=1)) / math.sqrt(n) if n > 1 else 1.0
     rate = float(failed.mean())
     report.add("calibration.told", float(told.mean()), "rate")
     report.add("calibration.failed", rate, "rate")
@@ -84,7 +84,7 @@ def table(told: Array, failed: Array) -> Report:
     report.add("calibration.brier", float((off**2).mean()), "")
     report.add("calibration.brier_of_rate", rate * (1.0 - rate), "")
     for count, mean, observed in deciles(told, failed):
-        key = f"calibration.decile.{min(int(mean * BINS), BINS - 1)}"
+        key = f"calibration.decile.{min(int(mean * BIN_COUNT), BIN_COUNT - 1)}"
         report.add(f"{key}.drives", float(count), "drives")
         report.add(
             f"{key}.difference", abs(mean - observed), "rate", DECILE_OFF if count >= LEAST_DRIVES else None
@@ -102,7 +102,7 @@ def draw(told: Array, failed: Array, file: Path) -> None:
     figure, axes = plt.subplots(figsize=(5.0, 4.6), layout="constrained")
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.7", lw=1.0)
     for count, mean, observed in deciles(told, failed):
-        spread = WIDE * math.sqrt(max(observed * (1.0 - observed), 0.25 / count) / count)
+        spread = NORMAL_QUANTILE * math.sqrt(max(observed * (1.0 - observed), 0.25 / count) / count)
         axes.errorbar(mean, observed, spread, color="C0", capsize=3.0)
         axes.scatter(mean, observed, s=20.0 + 2.0 * count, color="C0")
         axes.annotate(str(count), (mean, observed), xytext=(8, 6), textcoords="offset points")

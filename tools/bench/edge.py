@@ -20,7 +20,7 @@ from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.messages import header
 from tools.bench.report import Report
 
-DEPTH, EDGE = 0.5, 1.8
+EDGE_DEPTH, EDGE_DISTANCE = 0.5, 1.8
 """Of the edge and to it from the start [m]: nearer than where the lowest beam of an XT16 meets flat ground."""
 CARRIED: dict[str, list[dict[str, str]]] = {
     "xt16_l1": [{"name": "main", "model": "xt16"}, {"name": "head", "model": "l1"}],
@@ -36,25 +36,25 @@ def push_to_edge(vx: float, lean: float, lidars: str, folder: Path) -> tuple[flo
     """
     way = math.copysign(1.0, vx)
     x, y = np.meshgrid(*(2 * [np.arange(201) * 0.05 - 5.0]))
-    height = np.where((way * x - EDGE) * math.cos(lean) + y * math.sin(lean) > 0.0, 0.0, DEPTH)
+    height = np.where((way * x - EDGE_DISTANCE) * math.cos(lean) + y * math.sin(lean) > 0.0, 0.0, EDGE_DEPTH)
     file = folder / "edge.npz"
     np.savez(file, height=height.astype(np.float32), resolution=0.05, origin=np.array([-5.0, -5.0]))
     config = load(None, [], scene=str(file), origin=(0.0, 0.0, 0.0), lidars=CARRIED[lidars])
     over, lowest = -math.inf, math.inf
     with Lockstep(config) as stack:
         stack.wait_ready()
-        for _ in range(round((EDGE / abs(vx) + 2.0) * 25)):
+        for _ in range(round((EDGE_DISTANCE / abs(vx) + 2.0) * 25)):
             command = msg.TwistStamped(header=header(stack.now, "base_link"))
             command.twist.linear.x = vx
             stack.host.inject(t.TELEOP, command)
             stack.run(0.04)
             pose = stack.newest[t.TRUTH].pose.pose
             yaw = yaw_of(pose.orientation)
-            lowest = min(lowest, pose.position.z - DEPTH)
+            lowest = min(lowest, pose.position.z - EDGE_DEPTH)
             for u, v in product((-BODY_LENGTH / 2, BODY_LENGTH / 2), (-BODY_WIDTH / 2, BODY_WIDTH / 2)):
                 cx = pose.position.x + u * math.cos(yaw) - v * math.sin(yaw)
                 cy = pose.position.y + u * math.sin(yaw) + v * math.cos(yaw)
-                over = max(over, (way * cx - EDGE) * math.cos(lean) + cy * math.sin(lean))
+                over = max(over, (way * cx - EDGE_DISTANCE) * math.cos(lean) + cy * math.sin(lean))
     return over, lowest
 
 

@@ -37,13 +37,13 @@ from tools.bench.console.bench import NAME, Client, process
 from tools.bench.console.stack import Robot
 from tools.bench.report import Report
 
-SILENT = 300
-HELD = 5000
+SILENT_CONNECTIONS = 300
+HELD_CONNECTIONS = 5000
 """Connections that a flood keeps open; the oldest is closed."""
 HOLDS = "holds"
-LONGEST = 60.0
+LONGEST_WAIT = 60.0
 """[s] a new session is waited for."""
-TIMEOUT = 10.0
+HANDSHAKE_TIMEOUT = 10.0
 """[s] after which Zenoh 1.10 gives up a TLS handshake."""
 
 
@@ -84,19 +84,19 @@ def _router(report: Report, seconds: float, broken: list[float]) -> None:
         address = _address(place.endpoint)
         inside.measure(report, "router.calm", before, 2.0)
         with contextlib.ExitStack() as held:
-            for _ in range(SILENT):
+            for _ in range(SILENT_CONNECTIONS):
                 held.enter_context(socket.create_connection(address, timeout=5.0))
             full = time.monotonic()
-            inside.measure(report, "router.silent", before, TIMEOUT - 2.0)
-            time.sleep(max(0.0, full + TIMEOUT + 0.2 - time.monotonic()))
+            inside.measure(report, "router.silent", before, HANDSHAKE_TIMEOUT - 2.0)
+            time.sleep(max(0.0, full + HANDSHAKE_TIMEOUT + 0.2 - time.monotonic()))
             inside.measure(report, "router.silent_timed_out", before, 1.0)
     with site() as place, Inside(place) as inside, place.enter("operator") as before:
         address = _address(place.endpoint)
         with contextlib.ExitStack() as held:
             tls = _context(place.folders["removed"])
-            for _ in range(SILENT):
+            for _ in range(SILENT_CONNECTIONS):
                 held.enter_context(tls.wrap_socket(socket.create_connection(address, timeout=5.0)))
-            inside.measure(report, "router.removed", before, TIMEOUT + 6.0)
+            inside.measure(report, "router.removed", before, HANDSHAKE_TIMEOUT + 6.0)
     for rate in broken:
         kinds = {"junk": b"junk" * 20, "hello": client_hello(), HOLDS: client_hello()}
         for kind, says in kinds.items():
@@ -157,7 +157,7 @@ class Inside:
             started.append(_entering(lambda: Bus(self._place.local, "tracker")))
             began = time.monotonic()
             before.publish(t.ROBOT_STOP, t.ROBOT_STOP.kind(mode="stop"), 1)
-            while self._heard < began and time.monotonic() < began + LONGEST:
+            while self._heard < began and time.monotonic() < began + LONGEST_WAIT:
                 time.sleep(0.001)
             stopped.append(time.monotonic() - began)
             time.sleep(0.2)
@@ -170,7 +170,7 @@ class Inside:
 def _entering(enter: Callable[[], Bus]) -> float:
     """[s] until it was let in, tried again and again."""
     began = time.monotonic()
-    while time.monotonic() < began + LONGEST:
+    while time.monotonic() < began + LONGEST_WAIT:
         with contextlib.suppress(BusError):
             enter().close()
             return time.monotonic() - began
@@ -208,7 +208,7 @@ def breaking_off(address: tuple[str, int], rate: float, says: bytes, *, hold: bo
                 one = socket.create_connection(address, timeout=5.0)
                 held.append(one)
                 one.sendall(says)
-            while len(held) > (SILENT if hold else 0):
+            while len(held) > (SILENT_CONNECTIONS if hold else 0):
                 held.popleft().close()
 
     thread = threading.Thread(target=go)
@@ -243,7 +243,7 @@ def flood(host: str, port: int, rate: float) -> None:
             one.connect((host, port))
         with contextlib.suppress(OSError):
             one.send(b"GET / HTTP/1.1\r\nHost: x")
-        while len(held) > HELD:
+        while len(held) > HELD_CONNECTIONS:
             held.popleft().close()
 
 

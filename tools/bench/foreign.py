@@ -19,9 +19,9 @@ from tools.bench.lanes.trial import Trial
 from tools.bench.records import numbers
 from tools.bench.report import Report
 
-DETOUR = 1.6
+DETOUR_RATIO = 1.6
 """Greatest length driven over the shortest."""
-SECONDS, METRES = 40.0, 15.0
+REFUSAL_TIME, REFUSAL_WAY = 40.0, 15.0
 """Within which a goal that nothing leads to is refused, beside what it takes to look at once."""
 LOOK_SPEED = 0.5
 """[m/s] of that."""
@@ -72,7 +72,9 @@ def table(records: Iterable[dict[str, Any]]) -> Report:
             report.rate(f"{key}.entered", sum(r["tried"] for r in here), len(here), at_least=False)
             report.rate(f"{key}.in_time", sum(map(_in_time, good)), len(here))
         elif good:
-            report.add(f"{key}.length", median(r["driven"] / r["shortest"] for r in good), "ratio", DETOUR)
+            report.add(
+                f"{key}.length", median(r["driven"] / r["shortest"] for r in good), "ratio", DETOUR_RATIO
+            )
         if good:
             report.add(f"{key}.time", median(r["time"] for r in good), "s")
             report.add(f"{key}.driven", median(r["driven"] for r in good), "m")
@@ -81,4 +83,4 @@ def table(records: Iterable[dict[str, Any]]) -> Report:
 
 def _in_time(record: dict[str, Any]) -> bool:
     look = place(record["goal"].partition(":")[2].partition(",")[0], record["seed"]).look
-    return bool(record["driven"] <= METRES + look and record["time"] <= SECONDS + look / LOOK_SPEED)
+    return bool(record["driven"] <= REFUSAL_WAY + look and record["time"] <= REFUSAL_TIME + look / LOOK_SPEED)

@@ -34,17 +34,17 @@ FAULTS = (
 )
 """battery: it runs low on the way of a goal, of a mission, at the goal, with --no-return. link: nobody is in contact,
 with the choice; `contact`: somebody is again on the way home."""
-SILENT = 3.0
+COMMS_TIMEOUT = 3.0
 """[s] `comms.timeout`."""
-SHARE = 0.5
+FAULT_SHARE = 0.5
 """Of the way to the goal after which the fault comes."""
-DETOUR, PACE = 1.6, 0.4
+DETOUR_RATIO, WAY_SPEED = 1.6, 0.4
 """The longest way to a goal against straight on; [m/s] on it."""
-LIMIT = 240.0
+TIME_LIMIT = 240.0
 """[s] of a trial."""
-NEAR = 0.6
+PLACE_RADIUS = 0.6
 """[m] A robot so near to a place is there."""
-STILL = 0.05
+STILL_SPEED = 0.05
 """[m/s]"""
 
 
@@ -111,11 +111,11 @@ class Drive:
     def _until(self, true: object, what: str, present: bool = False) -> None:
         assert callable(true)
         due = 0.0
-        end = self._stack.seconds + LIMIT
+        end = self._stack.seconds + TIME_LIMIT
         while not true():
             if self._stack.seconds >= end:
                 raise LockstepTimeout(
-                    f"{what} did not come in {LIMIT:.0f} s: {self.mission.phase} {self.mission.reason}"
+                    f"{what} did not come in {TIME_LIMIT:.0f} s: {self.mission.phase} {self.mission.reason}"
                 )
             if present and self._stack.seconds >= due:
                 due = self._stack.seconds + 1.0
@@ -123,11 +123,11 @@ class Drive:
             self._stack.run(0.1)
 
     def _near(self, place: tuple[float, float]) -> bool:
-        return math.dist(self.place, place) < NEAR
+        return math.dist(self.place, place) < PLACE_RADIUS
 
     def _still(self) -> bool:
         twist = self._stack.newest[t.TRUTH].twist.twist.linear
-        return math.hypot(twist.x, twist.y) < STILL
+        return math.hypot(twist.x, twist.y) < STILL_SPEED
 
     def _ask(self, action: str, **fields: object) -> None:
         request = msg.MissionRequest(id=f"bench {self._stack.now}", action=action, owner="bench", **fields)  # type: ignore[arg-type]
@@ -155,11 +155,11 @@ class Drive:
         """The trial of a battery fault. Raises LockstepTimeout, AssertionError."""
         what = self._trial.fault.partition("/")[2]
         away, life = math.dist(self.start, self.goal), self._stack.config.sim.battery_life
-        way, stand = {"stands": (DETOUR * away, 20.0), "stays": (DETOUR * away, 10.0)}.get(
-            what, (SHARE * away, 0.0)
+        way, stand = {"stands": (DETOUR_RATIO * away, 20.0), "stays": (DETOUR_RATIO * away, 10.0)}.get(
+            what, (FAULT_SHARE * away, 0.0)
         )
         kept = RESERVE_FACTOR * PER_METRE * (0.5 * away if what == "stays" else way)
-        seconds = way / PACE + 3.0 + stand
+        seconds = way / WAY_SPEED + 3.0 + stand
         self._charge(self._stack.config.gate.min_battery + SPARE_CHARGE + kept + seconds / life)
         self._stack.run(0.5)
         self._send()
@@ -181,14 +181,14 @@ class Drive:
         """The trial of a lost link. Raises LockstepTimeout, AssertionError."""
         what = self._trial.fault.partition("/")[2]
         self._send()
-        half = (1.0 - SHARE) * math.dist(self.start, self.goal)
+        half = (1.0 - FAULT_SHARE) * math.dist(self.start, self.goal)
         self._until(lambda: math.dist(self.place, self.goal) < half, "half of the way", present=True)
         lost = self._stack.seconds
         if what == "continue":
             self._until(lambda: self._near(self.goal), "the goal")
             return
         self._until(lambda: self.mission.phase == "holding" or self.mission.returning, "the choice")
-        assert self._stack.seconds - lost < SILENT + 2.0, "it took too long"
+        assert self._stack.seconds - lost < COMMS_TIMEOUT + 2.0, "it took too long"
         if what == "hold":
             self._stack.run(2.0)
             assert self._still(), "it does not stand"
@@ -214,7 +214,12 @@ def drive(trial: Trial) -> Record:
     """One trial."""
     kind, _, what = trial.fault.partition("/")
     loss = {"hold": "hold", "return": "return", "contact": "return"}.get(what, "continue")
-    sets = ["sim.lidar_step=8", f"seed={trial.seed}", f"comms.timeout={SILENT}", f"comms.on_loss={loss}"]
+    sets = [
+        "sim.lidar_step=8",
+        f"seed={trial.seed}",
+        f"comms.timeout={COMMS_TIMEOUT}",
+        f"comms.on_loss={loss}",
+    ]
     with Lockstep(load(None, sets, scene=trial.goal.partition("/")[0])) as stack:
         one = Drive(trial, stack)
         try:

@@ -36,20 +36,20 @@ from rbtrg_robot.wire.messages import stamp_of
 from tools.bench.live.stack import running
 from tools.bench.report import Report
 
-DRIVING, RESTING = 0.4, 0.05
+DRIVING_SPEED, RESTING_SPEED = 0.4, 0.05
 """Speeds [m/s] at which the kill is given, and below which the robot is at rest."""
-BRAKING = 0.1
+BRAKING_DROP = 0.1
 """[m/s] slower than at the kill: somebody has noticed it. The rest of the time is the body's."""
-STEADY = 1.0
-"""Seconds above DRIVING before the kill: the robot cruises by then."""
-AHEAD = 4.0
+STEADY_TIME = 1.0
+"""Seconds above DRIVING_SPEED before the kill: the robot cruises by then."""
+GOAL_DISTANCE = 4.0
 """Distance [m] of the goals."""
 ENDED = ("reached", "rejected", "aborted")
 ZYGOTE, SUPERVISOR, RECORDER = "zygote", "supervisor", "recorder"
-HELD = (5.0, 15.0)
+HANG_TIMES = (5.0, 15.0)
 """[s] for which the supervisor hangs: both longer than the lease of a Zenoh session (2 s); the second is longer than
 most limits of the supervisor."""
-GONE = 10.0
+LONGEST_WAIT = 10.0
 """Longest wait [s] for the end of what must not outlive the supervisor."""
 
 
@@ -110,7 +110,7 @@ def _live(
     for turn in range(options.rounds if SUPERVISOR in options.only else 0):
         with running(report, scratch, logs, *settings, ended=not options.hang) as bus:
             if options.hang:
-                for held in HELD:
+                for held in HANG_TIMES:
                     _hang_supervisor(Watch(bus), f"{SUPERVISOR}.{turn}.{held:.0f}s", held, report)
             else:
                 _kill_supervisor(Watch(bus), f"{SUPERVISOR}.{turn}", report)
@@ -132,12 +132,12 @@ def _in_lockstep(rows: list[Process], rounds: int, scene: str, seed: int, report
 
         for number in range(rounds):
             for name, found in rested.items():
-                goal = stack.send_goal(-AHEAD if truth()[0] > 0.0 else AHEAD, 0.0)
-                stack.run_until(lambda: truth()[1] > DRIVING, 30.0, f"motion before {name} dies")
-                stack.run(STEADY)
+                goal = stack.send_goal(-GOAL_DISTANCE if truth()[0] > 0.0 else GOAL_DISTANCE, 0.0)
+                stack.run_until(lambda: truth()[1] > DRIVING_SPEED, 30.0, f"motion before {name} dies")
+                stack.run(STEADY_TIME)
                 stack.kill(name)
                 killed = stack.seconds
-                while truth()[1] >= RESTING and stack.seconds - killed < 3.0:
+                while truth()[1] >= RESTING_SPEED and stack.seconds - killed < 3.0:
                     stack.run(0.01)
                 found.append(stack.seconds - killed)
                 stack.run(0.5)
@@ -199,11 +199,11 @@ class Watch:
         end = time.monotonic() + 30.0
         while math.isnan(self.place[0]):
             self.turn()
-        goal = (self.place[0] + (AHEAD if self.place[0] < 0.0 else -AHEAD), self.place[1])
+        goal = (self.place[0] + (GOAL_DISTANCE if self.place[0] < 0.0 else -GOAL_DISTANCE), self.place[1])
         resend = 0.0
         since = math.inf
-        while not time.monotonic() - since > STEADY:
-            since = min(since, time.monotonic()) if self.speed > DRIVING else math.inf
+        while not time.monotonic() - since > STEADY_TIME:
+            since = min(since, time.monotonic()) if self.speed > DRIVING_SPEED else math.inf
             if time.monotonic() > end:
                 raise NotDriving(f"the robot did not set off for goal {goal_id}")
             if time.monotonic() > resend and (self.goal is None or self.goal.id != goal_id):
@@ -253,7 +253,7 @@ def _kill_supervisor(watch: Watch, label: str, report: Report) -> None:
     os.kill(supervisor, signal.SIGKILL)
     killed = time.monotonic()
     gone: dict[str, float] = {}
-    while len(gone) < len(left) and time.monotonic() - killed < GONE:
+    while len(gone) < len(left) and time.monotonic() - killed < LONGEST_WAIT:
         for name, process in left.items():
             if name not in gone and not _lives(process):
                 gone[name] = time.monotonic() - killed
@@ -275,7 +275,7 @@ def _hang_supervisor(watch: Watch, label: str, held: float, report: Report) -> N
     os.kill(supervisor, signal.SIGCONT)
     began = time.monotonic()
     driven, standing = 0.0, math.nan
-    while math.isnan(standing) and time.monotonic() - began < GONE:
+    while math.isnan(standing) and time.monotonic() - began < LONGEST_WAIT:
         watch.turn()
         driven = max(driven, math.dist(watch.place, place))
         if (watch.stamp - stamp) / 1e9 > 0.8 * held:  # what was still on its way has come
@@ -323,9 +323,9 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
     whole = math.nan if name == "elevation" and kept is not None else 0.0
     while time.monotonic() - killed < 60.0:
         watch.turn()
-        if math.isnan(braking) and watch.speed < speed - BRAKING:
+        if math.isnan(braking) and watch.speed < speed - BRAKING_DROP:
             braking = (watch.stamp - stamp) / 1e9
-        if math.isnan(rest) and watch.speed < RESTING:
+        if math.isnan(rest) and watch.speed < RESTING_SPEED:
             rest = (watch.stamp - stamp) / 1e9
         if math.isnan(back) and time.monotonic() > look:
             look = time.monotonic() + 0.1

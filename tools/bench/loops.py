@@ -27,23 +27,23 @@ from hal.rotation import wrap
 from hal.scenes import Scene
 from hal.types import Array
 from mapping.closing import Closed, Closing, Recording, corrected, fuse
-from mapping.closing.close import DRIFT, EXACT_SIGMA, LOOP_SIGMA, NEW, NEXT_SIGMA, STEADY
+from mapping.closing.close import EXACT_SIGMA, LOOP_LENGTH, LOOP_SIGMA, NEXT_SIGMA, RANDOM_DRIFT, STEADY_DRIFT
 from mapping.closing.graph import PoseGraph, between, levelled
-from mapping.closing.keyframes import SPACING
+from mapping.closing.keyframes import KEYFRAME_SPACING
 from mapping.elevation.config import ElevationConfig
 from tools.bench.report import Report
 from tools.closing import HEIGHT, Drift, Drive, Way, drifted, record, ring, site, twins, way_through
 
 SITES = ("ring", "twins", "site")
-EXACT = np.array([0.006, 0.006, 0.006, math.radians(0.05)])
+REGISTRATION_ERROR = np.array([0.006, 0.006, 0.006, math.radians(0.05)])
 """Errors of a registration: x, y, z [m], yaw [rad]."""
-SWEPT = np.array([0.001, 0.001, 0.001, math.radians(0.005)])
+NEIGHBOUR_ERROR = np.array([0.001, 0.001, 0.001, math.radians(0.005)])
 """The same of neighbours whose sweeps are laid onto each other,"""
-LAID = np.array([0.001, 0.001, 0.002, math.radians(0.005)])
+LOOP_ERROR = np.array([0.001, 0.001, 0.002, math.radians(0.005)])
 """and of loops."""
-WRONG = (0.3, 2.0)
+WRONG_LOOP = (0.3, 2.0)
 """A closed loop that is further off is wrong [m], [deg]."""
-ASKED = (0.15, 0.3)
+WANTED_ERROR = (0.15, 0.3)
 """Everywhere after [m], [deg]."""
 
 
@@ -78,17 +78,23 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
     """Largest error of any keyframe after closing, over the drives: by odometry and loops, and with sweeps between
     neighbours."""
     scene, way = site(options.scale, options.first)
-    truth = way_through(scene, way, SPACING)
+    truth = way_through(scene, way, KEYFRAME_SPACING)
     ground = np.array([levelled(pose, HEIGHT) for pose in truth])
     along = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(ground[:, :2], axis=0), axis=1)])
     nodes = [0]
     for k in range(len(along)):
-        if along[k] - along[nodes[-1]] >= 0.95 * SPACING:
+        if along[k] - along[nodes[-1]] >= 0.95 * KEYFRAME_SPACING:
             nodes.append(k)
     loops = [
         (min(near)[1], b)
         for b in range(len(nodes))
-        if (near := [(d, a) for a in range(b) if (d := _apart(ground, along, nodes[a], nodes[b])) < SPACING])
+        if (
+            near := [
+                (d, a)
+                for a in range(b)
+                if (d := _apart(ground, along, nodes[a], nodes[b])) < KEYFRAME_SPACING
+            ]
+        )
     ]
     report.add("graph.loops", len(loops), "1")
     for name in ("odometry", "sweeps"):
@@ -102,15 +108,15 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
             for a, b in pairwise(nodes):
                 far = along[b] - along[a]
                 if name == "sweeps":
-                    seen = between(ground[a], ground[b]) + SWEPT * rng.standard_normal(4)
+                    seen = between(ground[a], ground[b]) + NEIGHBOUR_ERROR * rng.standard_normal(4)
                     graph.drive(seen, NEXT_SIGMA, far)
                 else:
-                    graph.drive(between(place[a], place[b]), DRIFT * math.sqrt(far), far)
-            wrong, sigma = (LAID, EXACT_SIGMA) if name == "sweeps" else (EXACT, LOOP_SIGMA)
+                    graph.drive(between(place[a], place[b]), RANDOM_DRIFT * math.sqrt(far), far)
+            wrong, sigma = (LOOP_ERROR, EXACT_SIGMA) if name == "sweeps" else (REGISTRATION_ERROR, LOOP_SIGMA)
             for a, b in loops:
                 seen = between(ground[nodes[a]], ground[nodes[b]]) + wrong * rng.standard_normal(4)
                 graph.close(a, b, seen, sigma)
-            graph.solve(STEADY)
+            graph.solve(STEADY_DRIFT)
             off = graph.nodes - ground[nodes]
             turned = np.degrees(np.abs(wrap(off[:, 3]))).max()
             found.append((np.linalg.norm(off[:, :3], axis=1).max(), turned))
@@ -118,12 +124,16 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
         report.add(f"graph.{name}.median_m", float(np.median(metres)), "m")
         report.add(f"graph.{name}.worst_m", float(metres.max()), "m")
         report.add(f"graph.{name}.worst_deg", float(degrees.max()), "deg")
-        report.rate(f"graph.{name}.within", int((metres <= ASKED[0]).sum()), len(metres))
+        report.rate(f"graph.{name}.within", int((metres <= WANTED_ERROR[0]).sum()), len(metres))
 
 
 def _apart(ground: Array, along: Array, a: int, b: int) -> float:
     """Distance of two places [m], infinite where the robot has not been elsewhere between them."""
-    return float(np.linalg.norm(ground[a, :2] - ground[b, :2])) if along[b] - along[a] > NEW else math.inf
+    return (
+        float(np.linalg.norm(ground[a, :2] - ground[b, :2]))
+        if along[b] - along[a] > LOOP_LENGTH
+        else math.inf
+    )
 
 
 def world(name: str, seed: int, scale: float) -> tuple[Scene, Way]:
@@ -167,8 +177,8 @@ def rows(report: Report, name: str, options: argparse.Namespace) -> None:
     report.add(f"{name}.driven", length, "m")
     report.add(f"{name}.before_m", worst_before[0], "m")
     report.add(f"{name}.before_deg", worst_before[1], "deg")
-    report.add(f"{name}.after_m", worst_after[0], "m", ASKED[0])
-    report.add(f"{name}.after_deg", worst_after[1], "deg", ASKED[1])
+    report.add(f"{name}.after_m", worst_after[0], "m", WANTED_ERROR[0])
+    report.add(f"{name}.after_deg", worst_after[1], "deg", WANTED_ERROR[1])
     report.add(f"{name}.loops", loops, "1", 1.0, at_least=True)
     report.add(f"{name}.refused", refused, "1")
     report.add(f"{name}.wrong", wrong, "1", 0.0)
@@ -190,5 +200,7 @@ def wrongs(closed: Closed, truth: Array) -> int:
     count = 0
     for loop in closed.loops:
         off = loop.match.relative - between(grounds[loop.match.first], grounds[loop.match.second])
-        count += bool(np.linalg.norm(off[:3]) > WRONG[0] or abs(wrap(off[3])) > math.radians(WRONG[1]))
+        count += bool(
+            np.linalg.norm(off[:3]) > WRONG_LOOP[0] or abs(wrap(off[3])) > math.radians(WRONG_LOOP[1])
+        )
     return count

@@ -32,13 +32,13 @@ from hal.unitree.low.wire import L2, B
 from tests.hal.unitree.low.robot import LOW, LowWorld
 from tools.bench.report import Report
 
-SOFT, REST = 0.1, 0.5
+SOFT_LIMIT, REST_LIMIT = 0.1, 0.5
 """[s] until the motors must be soft, and until a robot that balances on must stand."""
-GAP = 0.004
+GAP_LIMIT = 0.004
 """[s] that 99.9 % of the times between two commands keep on a quiet machine."""
-IDLE = 0.3
+IDLE_LOAD = 0.3
 """Load per core before the bench, up to which a machine counts as quiet."""
-SPEED = 0.4
+FAULT_SPEED = 0.4
 """[m/s] at which faults happen."""
 
 
@@ -56,7 +56,7 @@ def run(args: list[str]) -> Report:
     for name, fault in FAULTS.items():
         if f"low.soft_s.{name}".startswith(options.only):
             seconds, words = fault(standing(options.controller))
-            tell(report, f"low.soft_s.{name}", seconds, SOFT, words)
+            tell(report, f"low.soft_s.{name}", seconds, SOFT_LIMIT, words)
     for name, other in OTHERS.items():
         if f"low.{name}".startswith(options.only):
             value, limit, words = other(standing(options.controller))
@@ -89,7 +89,7 @@ def standing(controller: str) -> LowWorld:
     world.backend.connect()
     world.backend.request(ModeRequest.STAND)
     world.until(Phase.READY)
-    world.run(1.0, vx=SPEED)
+    world.run(1.0, vx=FAULT_SPEED)
     return world
 
 
@@ -102,14 +102,14 @@ def passed(world: LowWorld, until: Callable[[], bool], longest: float = 2.0, hos
         world.advance(0.002)
         if host and tick % 5 == 0:
             world.backend.read(world.elapsed)
-            world.backend.drive(VelocityCommand(world.elapsed, vx=SPEED))
+            world.backend.drive(VelocityCommand(world.elapsed, vx=FAULT_SPEED))
     return math.nan
 
 
 def soft(world: LowWorld) -> tuple[float, str]:
     """When the motors are soft, and what the operator reads then."""
     seconds = passed(world, lambda: not world.body.stiff)
-    world.run(0.1, vx=SPEED)
+    world.run(0.1, vx=FAULT_SPEED)
     state = world.backend.state()
     return seconds, f"{state.phase.value}: {state.cause}"
 
@@ -245,9 +245,9 @@ def lossy(world: LowWorld) -> tuple[float, float, str]:
 
     world.robot._put, world.robot.low_cmd = heard, low_cmd  # type: ignore[method-assign]
     x = world.body.x
-    world.run(3.0, vx=SPEED)
+    world.run(3.0, vx=FAULT_SPEED)
     state = world.backend.state()
-    return SPEED - (world.body.x - x) / 3.0, 0.2 * SPEED, f"{state.phase.value}: {state.cause}"
+    return FAULT_SPEED - (world.body.x - x) / 3.0, 0.2 * FAULT_SPEED, f"{state.phase.value}: {state.cause}"
 
 
 def app(world: LowWorld) -> tuple[float, float, str]:
@@ -255,17 +255,17 @@ def app(world: LowWorld) -> tuple[float, float, str]:
     world.robot.motion = "ai-w"
     began, last, seen = world.elapsed, world.elapsed, world.robot.fought
     for _ in range(100):
-        world.run(0.01, vx=SPEED)
+        world.run(0.01, vx=FAULT_SPEED)
         if world.robot.fought != seen:
             last, seen = world.elapsed, world.robot.fought
     state = world.backend.state()
-    return (last - began) / 1e9, SOFT, f"{state.phase.value}: {state.cause}"
+    return (last - began) / 1e9, SOFT_LIMIT, f"{state.phase.value}: {state.cause}"
 
 
 def silent(world: LowWorld) -> tuple[float, float, str]:
     """The host tells nothing: the robot balances on and stands [s]."""
     seconds = passed(world, lambda: abs(world.body.v) < 0.05, host=False)
-    return seconds, REST, f"{world.loop.loop.report().phase.value}: {world.loop.loop.report().cause}"
+    return seconds, REST_LIMIT, f"{world.loop.loop.report().phase.value}: {world.loop.loop.report().cause}"
 
 
 OTHERS: dict[str, Callable[[LowWorld], tuple[float, float, str]]] = {
@@ -328,13 +328,15 @@ def _live(controller: str) -> Iterator[Host]:
 def _commands(report: Report, host: Host, seconds: float, load: float) -> None:
     """Times between commands while the robot stands up, drives and stands."""
     host.up()
-    host.run(seconds / 2, vx=SPEED)
+    host.run(seconds / 2, vx=FAULT_SPEED)
     host.run(seconds / 2)
     motors: Any = host.backend._motors
     told = motors.report()
-    quiet = load <= IDLE
+    quiet = load <= IDLE_LOAD
     for name, value in zip(("p50", "p99", "p999"), told.shares, strict=True):
-        report.add(f"low.gap.{name}", 1e3 * value, "ms", 1e3 * GAP if name == "p999" and quiet else None)
+        report.add(
+            f"low.gap.{name}", 1e3 * value, "ms", 1e3 * GAP_LIMIT if name == "p999" and quiet else None
+        )
     report.add("low.gap.worst", 1e3 * told.worst, "ms")
     report.add("low.gap.late", told.late, "commands after more than 4 ms")
     report.add("low.load_before", load, "of each core")
@@ -355,4 +357,4 @@ def _dies(host: Host, name: str) -> tuple[float, float, str]:
     seconds = host.peer.last["soft_at"] - moment
     host.run(0.8)
     state = host.backend.state()
-    return seconds, SOFT, f"{state.phase.value}: {state.cause}"
+    return seconds, SOFT_LIMIT, f"{state.phase.value}: {state.cause}"

@@ -17,7 +17,7 @@ from tools.bench.report import Report
 GOALS = ("yard/a", "yard/b")
 """On level ground, one in sight and one around blocks."""
 LEVELS = "1-3"
-WANTED = 0.95
+WANTED_SHARE = 0.95
 """Share of the lanes that are reached with a prior map."""
 
 
@@ -52,7 +52,10 @@ def run(args: list[str]) -> Report:
         ):
             count = sum(outcome[trial.key] == wanted for trial in trials)
             report.rate(
-                f"robots.{robot.name}.{what}.{wanted}", count, len(trials), WANTED if what == "lanes" else 1.0
+                f"robots.{robot.name}.{what}.{wanted}",
+                count,
+                len(trials),
+                WANTED_SHARE if what == "lanes" else 1.0,
             )
         fell = sum(value == "fell" for value in outcome.values())
         report.rate(f"robots.{robot.name}.fell", fell, len(outcome), 0.0, at_least=False)

@@ -23,7 +23,7 @@ from tools.bench.raised import Raised
 from tools.bench.report import Report
 from tools.bench.spent import Spent
 
-SAMPLE = 60.0
+SAMPLE_PERIOD = 60.0
 """Simulated seconds between two samples."""
 COARSE = "sim.lidar_step=8"
 """A quarter of the points of the live simulation: the rays cost most of the time."""
@@ -56,7 +56,7 @@ def run(args: list[str]) -> Report:
         spent = Spent(stack)
         heard = Raised(stack)
         began, first = time.monotonic(), stack.seconds
-        cpu, due = time.process_time(), stack.seconds + SAMPLE
+        cpu, due = time.process_time(), stack.seconds + SAMPLE_PERIOD
         busy: dict[str, float] = {}
         rows: list[dict[str, float]] = []
         number = 0
@@ -76,7 +76,7 @@ def run(args: list[str]) -> Report:
                 number += 1
             stack.run(1.0)
             if stack.seconds >= due:
-                due += SAMPLE
+                due += SAMPLE_PERIOD
                 now = time.process_time()
                 samples.append(
                     (
@@ -84,10 +84,12 @@ def run(args: list[str]) -> Report:
                         process.memory_info().rss / 2**20,
                         len(os.listdir("/proc/self/fd")),
                         sum(m.size for m in process.memory_maps() if m.path.startswith("/dev/shm/")) / 2**20,
-                        1e3 * (now - cpu) / SAMPLE,
+                        1e3 * (now - cpu) / SAMPLE_PERIOD,
                     )
                 )
-                rows.append({k: 1e3 * (v - busy.get(k, 0.0)) / SAMPLE for k, v in spent.seconds.items()})
+                rows.append(
+                    {k: 1e3 * (v - busy.get(k, 0.0)) / SAMPLE_PERIOD for k, v in spent.seconds.items()}
+                )
                 cpu, busy = now, dict(spent.seconds)
                 print(
                     f"{60 * samples[-1][0]:.0f} min simulated, {samples[-1][1]:.0f} MB, {samples[-1][4]:.0f} "

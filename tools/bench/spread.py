@@ -16,7 +16,7 @@ from hal.errors import OperatorError
 if TYPE_CHECKING:
     from distributed import Future
 
-AHEAD = 64
+TRIALS_AHEAD = 64
 """Trials handed to the cluster at a time: their arguments need not all be in its memory."""
 Result = dict[str, Any]
 
@@ -77,7 +77,7 @@ def spread(
             )
         client = stack.enter_context(Client(place))
         left = iter(trials)
-        first = [client.submit(function, *t, pure=False) for t in islice(left, AHEAD)]
+        first = [client.submit(function, *t, pure=False) for t in islice(left, TRIALS_AHEAD)]
         queue = as_completed(first)
         for future in queue:
             result = _outcome(future, scheduler)

@@ -18,7 +18,7 @@ from rbtrg_robot.wire.bus import Bus
 from tools.bench.ports import free_endpoint
 from tools.bench.report import Report
 
-LIMIT = 0.25
+STOP_LIMIT = 0.25
 """[s]"""
 
 
@@ -45,8 +45,8 @@ def run(args: list[str]) -> Report:
                 took.append(_once(bus))
             lock.release()
     baseline = statistics.median(empty)
-    report.add("stop.first_on_bus.median", statistics.median(took), "s", LIMIT, baseline)
-    report.add("stop.first_on_bus.worst", max(took), "s", LIMIT, max(empty))
+    report.add("stop.first_on_bus.median", statistics.median(took), "s", STOP_LIMIT, baseline)
+    report.add("stop.first_on_bus.worst", max(took), "s", STOP_LIMIT, max(empty))
     return report
 
 

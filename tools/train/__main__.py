@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
 # JAX takes three quarters of an accelerator's memory otherwise, and the physics needs some.
 os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-MANY = 4096
+ROBOT_COUNT = 4096
 """Robots on an accelerator."""
 
 
@@ -81,7 +81,7 @@ def main() -> None:
         if options.resume
         else clone(Settings(seed=options.seed), options.workers, options.out, console)
     )
-    if robots := options.robots or (MANY if options.accelerator else None):
+    if robots := options.robots or (ROBOT_COUNT if options.accelerator else None):
         ppo = point.settings.ppo.model_copy(update={"robots": robots})
         point.settings = point.settings.model_copy(update={"ppo": ppo})
     train(point, options.minutes, options.out, console, robots=physics)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from tools.train.environment import SEEN
 from tools.train.network import LEAST_SPREAD, Weights, fresh
 from tools.train.perceptron import as_tree, forward
-from tools.train.settings import HIDDEN
+from tools.train.settings import POLICY_LAYERS
 
-BATCH = 1024
-LARGEST = 9.0
+BATCH_SIZE = 1024
+LARGEST_ERROR = 9.0
 """Of one squared error, in spreads of the output: what the teacher does once in a while must not rule."""
 
 
@@ -43,18 +43,18 @@ def fit(
     rng = np.random.default_rng(seed)
     mean = seen.mean(axis=0)
     spread = np.maximum(seen.std(axis=0), LEAST_SPREAD)
-    weights = fresh([SEEN, *HIDDEN, 16], 0.1, rng)
+    weights = fresh([SEEN, *POLICY_LAYERS, 16], 0.1, rng)
     weights[-1] = (weights[-1][0], outputs.mean(axis=0))
     x, y = jnp.asarray((seen - mean) / spread), jnp.asarray(outputs)
     scale = jnp.maximum(y.std(axis=0), 0.05)
-    batch = min(BATCH, len(seen))
+    batch = min(BATCH_SIZE, len(seen))
     batches = len(seen) // batch
     optimiser = optax.chain(
         optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, epochs * batches, 0.05))
     )
 
     def loss(weights: Any, at: Any) -> Any:
-        return jnp.mean(jnp.minimum(((forward(weights, x[at]) - y[at]) / scale) ** 2, LARGEST))
+        return jnp.mean(jnp.minimum(((forward(weights, x[at]) - y[at]) / scale) ** 2, LARGEST_ERROR))
 
     @jax.jit
     def epoch(weights: Any, state: Any, order: Any) -> Any:

@@ -13,29 +13,31 @@ from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
 from hal.robots.go2w.locomotion.layout import Layout
 from hal.robots.go2w.locomotion.rlsar import FRAME
 from hal.types import GRAVITY, Array
-from tools.bench.envelope.trial import TIPPED, steering
+from tools.bench.envelope.trial import TIPPED_COSINE, steering
 from tools.train.physics import QPOS, QVEL, Robots
 from tools.train.settings import DESCRIPTION, PARAMS, PERIOD, Reward, Settings
-from tools.train.terrain import BEFORE, DEALT, KINDS, LENGTH, LEVELS, OPEN
+from tools.train.terrain import DEALT_KINDS, KINDS, LANE_LENGTH, LEVEL_BEFORE, LEVEL_COUNT, OPEN
 
 AGES = PARAMS.ages
 SEEN = FRAME * len(AGES)
 """Numbers that the policy sees."""
-SCAN = np.stack(np.meshgrid(np.linspace(-0.5, 0.9, 11), np.linspace(-0.4, 0.4, 5)), axis=-1).reshape(-1, 2)
+SCAN_PLACES = np.stack(np.meshgrid(np.linspace(-0.5, 0.9, 11), np.linspace(-0.4, 0.4, 5)), axis=-1).reshape(
+    -1, 2
+)
 """(55, 2) places in the heading frame [m] whose heights the critic sees."""
-KNOWN = SEEN + 3 + len(SCAN) + 2
+KNOWN_COUNT = SEEN + 3 + len(SCAN_PLACES) + 2
 """Numbers that the critic sees: the same, the body's velocity, heights, which way the ground is its own (kind,
 level)."""
-TALL = 0.38
+TRUNK_HEIGHT = 0.38
 """Height of the trunk over the ground from which the critic's heights are counted [m]."""
-BACKWARD = 7
+BACKWARD_EVERY = 7
 """One of so many robots in the lanes drives backward, as a robot that backs out of what it cannot pass."""
-DETOUR = (0.4, 1.5)
+DETOUR_TIME = (0.4, 1.5)
 """[s] for which a robot in a lane is told to drive slower, to turn aside, or to stand, as the hybrid controller asks of
 a policy amid rubble..."""
 DETOUR_EVERY = 3.0
 """... and the mean time [s] between two commands of this kind, and on open ground between any two."""
-LOW = (0.25, 0.13)
+LOW_HEIGHTS = (0.25, 0.13)
 """Of the trunk over the ground [m]: from where it costs, and where it counts as a fall."""
 
 
@@ -81,7 +83,7 @@ def rewards(
         "jerk": ((action - before) ** 2).sum(axis=1).astype(float),
         "posture": (off**2).sum(axis=1),
         "hips": (off[:, ::3] ** 2).sum(axis=1),
-        "low": np.clip(LOW[0] - body.above, 0.0, 0.2),
+        "low": np.clip(LOW_HEIGHTS[0] - body.above, 0.0, 0.2),
         "creep": np.where(still, (wheels**2).mean(axis=1), 0.0),
     }
 
@@ -104,7 +106,7 @@ def in_body(quaternion: Array, level: Array) -> Array:
 def kinds(settings: Settings, n: int) -> NDArray[np.int64]:
     """(n,) kind of ground of each of so many robots."""
     turning = round(settings.turning * n)
-    return np.concatenate([np.full(turning, OPEN), np.resize(DEALT, n - turning)])
+    return np.concatenate([np.full(turning, OPEN), np.resize(DEALT_KINDS, n - turning)])
 
 
 class Environment:
@@ -117,7 +119,7 @@ class Environment:
         self.robots = robots(n, settings.physics, rng)
         self.layout = Layout(DESCRIPTION)
         self.kind = kinds(settings, n)
-        self.back = (self.kind != OPEN) & (np.arange(n) % BACKWARD == 0)
+        self.back = (self.kind != OPEN) & (np.arange(n) % BACKWARD_EVERY == 0)
         """(n,) who drives the lane backward."""
         self.level = rng.integers(0, settings.first_level + 1, n)
         self.action = np.zeros((n, 16), np.float32)
@@ -173,7 +175,8 @@ class Environment:
         return Body(yaw, velocity, s[:, 27:30], up, q, dq, torque, above)
 
     def observe(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What the policy sees (n, SEEN) and what the critic sees (n, KNOWN); commands in lanes follow the lane."""
+        """What the policy sees (n, SEEN) and what the critic sees (n, KNOWN_COUNT); commands in lanes follow the
+        lane."""
         b, s = self.body(), self.robots.state
         told = b.up + in_body(s[:, 4:8], self._lean)
         lanes = self.kind != OPEN
@@ -201,10 +204,10 @@ class Environment:
             [self._frames[(self._newest - age) % len(self._frames)] for age in AGES], axis=1
         )
         c, sn = np.cos(b.yaw)[:, None], np.sin(b.yaw)[:, None]
-        x = s[:, 1:2] + c * SCAN[:, 0] - sn * SCAN[:, 1]
-        y = s[:, 2:3] + sn * SCAN[:, 0] + c * SCAN[:, 1]
-        scan = np.clip(s[:, 3:4] - TALL - self.robots.ground.at(x, y), -0.6, 0.6) * 5.0
-        place = np.stack([self.kind / OPEN, self.level / LEVELS], axis=1)
+        x = s[:, 1:2] + c * SCAN_PLACES[:, 0] - sn * SCAN_PLACES[:, 1]
+        y = s[:, 2:3] + sn * SCAN_PLACES[:, 0] + c * SCAN_PLACES[:, 1]
+        scan = np.clip(s[:, 3:4] - TRUNK_HEIGHT - self.robots.ground.at(x, y), -0.6, 0.6) * 5.0
+        place = np.stack([self.kind / OPEN, self.level / LEVEL_COUNT], axis=1)
         return seen, np.concatenate([seen, b.velocity, scan, place], axis=1).astype(np.float32)
 
     # --- what they do -----------------------------------------------------------------------------------------------
@@ -225,10 +228,10 @@ class Environment:
         total = reward.scale * sum(getattr(reward, name) * value for name, value in terms.items())
         lanes = self.kind != OPEN
         aside = np.abs(s[:, 2] - self.robots.ground.middle(self.kind, self.level))
-        fell = broken | (b.up[:, 2] < TIPPED) | (b.above < LOW[1])
+        fell = broken | (b.up[:, 2] < TIPPED_COSINE) | (b.above < LOW_HEIGHTS[1])
         astray = lanes & (aside > 1.0)
         far = ~lanes & ((aside > 6.0) | (np.abs(s[:, 1] - 5.0) > 5.4))
-        through = lanes & (s[:, 1] > LENGTH - BEFORE - 1.2)
+        through = lanes & (s[:, 1] > LANE_LENGTH - LEVEL_BEFORE - 1.2)
         total = total + np.where(fell, reward.fall, 0.0) + np.where(astray & ~fell, reward.astray, 0.0)
         fault = fell | astray
         over = ~fault & ((self._age >= self._last) | through | far)
@@ -256,8 +259,8 @@ class Environment:
         ]
         level = self.level[which] + up - down
         # Who has mastered the last level goes anywhere: easy ground must not be forgotten.
-        level = np.where(level >= LEVELS, self._rng.integers(0, LEVELS, len(which)), level)
-        self.level[which] = np.clip(level, 0, LEVELS - 1)
+        level = np.where(level >= LEVEL_COUNT, self._rng.integers(0, LEVEL_COUNT, len(which)), level)
+        self.level[which] = np.clip(level, 0, LEVEL_COUNT - 1)
 
     def _begin(self, which: NDArray[np.int64]) -> None:
         n, rng = len(which), self._rng
@@ -305,7 +308,7 @@ class Environment:
         slow = np.sign(cruise) * rng.uniform(ONWARD, np.maximum(np.abs(cruise), ONWARD))
         self._detour[begins, 0] = np.where(rng.random(k) < 0.2, 0.0, slow)
         self._detour[begins, 1] = rng.uniform(-TURN_MOST, TURN_MOST, k) * (rng.random(k) < 0.7)
-        self._left[begins] = rng.uniform(*DETOUR, k)
+        self._left[begins] = rng.uniform(*DETOUR_TIME, k)
         vx = np.where(self._left > 0.0, self._detour[:, 0], self._cruise)
         self.command[lanes, 0] = vx[lanes]
 

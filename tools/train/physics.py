@@ -14,18 +14,18 @@ from hal.robots.go2w.locomotion.layout import Layout
 from hal.robots.go2w.simulated import GO2W
 from hal.types import Array
 from tools.train.settings import DESCRIPTION, PERIOD, Physics
-from tools.train.terrain import RESOLUTION, Ground
+from tools.train.terrain import CELL_SIDE, Ground
 
 QPOS, QVEL = slice(1, 24), slice(24, 46)
 """Columns of MuJoCo's full physics state; column 0 is the time."""
-THREADS = 2
+THREAD_COUNT = 2
 
 
 def variant(ground: Ground, physics: Physics, rng: np.random.Generator) -> mujoco.MjModel:
     """A robot of its own."""
     model = build(
         ground.height,
-        RESOLUTION,
+        CELL_SIDE,
         ground.origin,
         GO2W,
         friction=float(rng.uniform(*physics.friction)),
@@ -77,8 +77,8 @@ class Robots:
 
     def _prepare(self, model: mujoco.MjModel) -> None:
         """What `_advance` needs; `model`: the first of all."""
-        self._datas = [mujoco.MjData(model) for _ in range(THREADS)]
-        self._rollout = rollout.Rollout(nthread=THREADS)
+        self._datas = [mujoco.MjData(model) for _ in range(THREAD_COUNT)]
+        self._rollout = rollout.Rollout(nthread=THREAD_COUNT)
 
     def place(self, which: NDArray[np.int64], x: Array, y: Array, yaw: Array, speed: Array) -> None:
         """Put robots on the ground, rolling forward at `speed` [m/s], a little shaken, each with another body; all

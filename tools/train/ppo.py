@@ -12,17 +12,17 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from tools.train.environment import KNOWN, SEEN
+from tools.train.environment import KNOWN_COUNT, SEEN
 from tools.train.network import Weights, fresh
 from tools.train.perceptron import as_tree, forward
-from tools.train.settings import CRITIC, Ppo
+from tools.train.settings import CRITIC_LAYERS, Ppo
 
 Float32 = NDArray[np.float32]
-STD = (0.08, 0.8)
+SPREAD_LIMITS = (0.08, 0.8)
 """Least and largest spread of the outputs."""
-RATE = (2e-5, 1e-3)
+RATE_LIMITS = (2e-5, 1e-3)
 """Least and largest learning rate of the policy."""
-FACTOR = 1.5
+RATE_FACTOR = 1.5
 """Of the learning rate, where the divergence is not as wanted."""
 HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
@@ -32,7 +32,7 @@ class Experience:
     """`horizon` steps of n robots; first axis the time."""
 
     known: Float32
-    """(t, n, KNOWN)"""
+    """(t, n, KNOWN_COUNT)"""
     action: Float32
     """(t, n, 16)"""
     chance: Float32
@@ -65,7 +65,7 @@ class Learner:
         self, ppo: Ppo, policy: Weights, mean: Float32, spread: Float32, seed: int, critic: Weights | None = None,
         log_std: Float32 | None = None, rate: float | None = None,
     ) -> None:  # fmt: skip
-        rest = KNOWN - SEEN
+        rest = KNOWN_COUNT - SEEN
         self.ppo, self.mean, self.spread = ppo, mean, spread
         self._offset = jnp.asarray(np.concatenate([mean, np.zeros(rest, np.float32)]))
         self._scale = jnp.asarray(np.concatenate([spread, np.ones(rest, np.float32)]))
@@ -76,7 +76,9 @@ class Learner:
                 log_std if log_std is not None else np.full(16, np.log(ppo.std), np.float32)
             ),
         }
-        self.critic: Any = as_tree(critic if critic is not None else fresh([KNOWN, *CRITIC, 1], 0.1, rng))
+        self.critic: Any = as_tree(
+            critic if critic is not None else fresh([KNOWN_COUNT, *CRITIC_LAYERS, 1], 0.1, rng)
+        )
         self.rate = rate or ppo.rate
         """Learning rate of the policy."""
         self._actor_optimiser = optax.inject_hyperparams(_adam)(learning_rate=self.rate)
@@ -98,13 +100,13 @@ class Learner:
 
     # --- acting -----------------------------------------------------------------------------------------------------
     def act(self, known: Float32) -> tuple[Float32, Float32, Float32, Float32]:
-        """For (n, KNOWN): drawn outputs (n, 16), their log probability (n,), the mean outputs (n, 16), the values
+        """For (n, KNOWN_COUNT): drawn outputs (n, 16), their log probability (n,), the mean outputs (n, 16), the values
         (n,)."""
         self._key, key = jax.random.split(self._key)
         return tuple(np.asarray(v) for v in self._act(self.actor, self.critic, known, key))  # type: ignore[return-value]
 
     def value(self, known: Float32) -> Float32:
-        """(n,) of (n, KNOWN)."""
+        """(n,) of (n, KNOWN_COUNT)."""
         return np.asarray(self._value(self.critic, known))
 
     def _input(self, known: Any) -> Any:
@@ -149,9 +151,9 @@ class Learner:
         far = float(divergence[-p.batches :].mean())
         self.critic, self._critic_state, error = learnt.result()
         if policy_too and far > 2.0 * p.divergence:
-            self.rate = max(self.rate / FACTOR, RATE[0])
+            self.rate = max(self.rate / RATE_FACTOR, RATE_LIMITS[0])
         elif policy_too and far < 0.5 * p.divergence:
-            self.rate = min(self.rate * FACTOR, RATE[1])
+            self.rate = min(self.rate * RATE_FACTOR, RATE_LIMITS[1])
         return far, float(error.mean())
 
     def _improve_actor_of(
@@ -177,7 +179,10 @@ class Learner:
             (_, divergence), gradient = jax.value_and_grad(loss_of, has_aux=True)(actor, part)
             change, state = self._actor_optimiser.update(gradient, state, actor)
             actor = optax.apply_updates(actor, jax.tree.map(lambda v: policy_too * v, change))
-            actor = {**actor, "log_std": jnp.clip(actor["log_std"], np.log(STD[0]), np.log(STD[1]))}
+            actor = {
+                **actor,
+                "log_std": jnp.clip(actor["log_std"], np.log(SPREAD_LIMITS[0]), np.log(SPREAD_LIMITS[1])),
+            }
             return (actor, state), divergence
 
         (actor, state), divergence = jax.lax.scan(step, (actor, state), order)

@@ -18,7 +18,7 @@ from hal.robots.go2w.locomotion.weights import save_weights
 from tools.train import curves
 from tools.train.checkpoint import FILE, Checkpoint
 from tools.train.cloning import fit
-from tools.train.environment import KNOWN, Environment
+from tools.train.environment import KNOWN_COUNT, Environment
 from tools.train.network import as_layers, normalised
 from tools.train.physics import Robots
 from tools.train.ppo import Experience, Learner
@@ -26,19 +26,19 @@ from tools.train.settings import PARAMS, Settings
 from tools.train.teacher import episode, stacked
 from tools.train.terrain import KINDS, OPEN
 
-EPISODES = 104
+TEACHER_EPISODES = 104
 """Of the teacher."""
 SAVE_EVERY = 120.0
 """Between checkpoints [s]."""
 LOG, POLICY = "curves.jsonl", "policy.npz"
-RECENT = 200
+RECENT_EPISODES = 200
 """Episodes of a kind whose successes are averaged."""
 WARM_AGAIN = 3
 """Iterations after an interruption in which the critic learns alone."""
 
 
 def clone(
-    settings: Settings, workers: int, out: Path, console: Console, episodes: int = EPISODES
+    settings: Settings, workers: int, out: Path, console: Console, episodes: int = TEACHER_EPISODES
 ) -> Checkpoint:
     """The first checkpoint: the teacher's policy."""
     began = time.process_time()
@@ -80,7 +80,7 @@ def train(
         ppo, point.policy, point.mean, point.spread, seed, point.critic, point.log_std, point.rate
     )
     warm = point.iteration + (WARM_AGAIN if point.critic is not None else ppo.warm)
-    recent: dict[int, deque[bool]] = {k: deque(maxlen=RECENT) for k in range(OPEN + 1)}
+    recent: dict[int, deque[bool]] = {k: deque(maxlen=RECENT_EPISODES) for k in range(OPEN + 1)}
     began = saved = time.monotonic()
     before, done = point.seconds, 0
     _, known = env.observe()
@@ -129,7 +129,7 @@ def _collect(env: Environment, learner: Learner, known: Any, horizon: int) -> tu
     """`horizon` steps of all robots."""
     n, gamma = len(known), learner.ppo.gamma
     e = Experience(
-        known=np.empty((horizon, n, KNOWN), np.float32),
+        known=np.empty((horizon, n, KNOWN_COUNT), np.float32),
         action=np.empty((horizon, n, 16), np.float32),
         chance=np.empty((horizon, n), np.float32),
         mean=np.empty((horizon, n, 16), np.float32),

@@ -21,9 +21,9 @@ PARAMS = PolicyParams(
 """Observation, action and gains..."""
 DESCRIPTION = PARAMS.described()
 """... as controllers read them."""
-HIDDEN = (256, 128, 64)
+POLICY_LAYERS = (256, 128, 64)
 """Of the policy, ELU."""
-CRITIC = (256, 128)
+CRITIC_LAYERS = (256, 128)
 
 
 class Physics(BaseModel):

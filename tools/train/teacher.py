@@ -21,8 +21,8 @@ from hal.robots.go2w.locomotion.rlsar import FRAME
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
-from tools.bench.envelope.terrain import RESOLUTION, course
-from tools.bench.envelope.trial import TIPPED, steering
+from tools.bench.envelope.terrain import CELL_SIDE, course
+from tools.bench.envelope.trial import TIPPED_COSINE, steering
 from tools.train.settings import DESCRIPTION, PARAMS
 
 LEVEL = "ramp_up_0"
@@ -41,7 +41,7 @@ COURSES = (
     *("step_up_5", "step_up_8", "step_up_10", "step_up_12", "step_up_15", "step_down_10", "step_down_20"),
     *("rough_3", "rough_5", "bar0_5", "bar30_5", "stairs_up_8", "stairs_up_10"),
 )
-EPISODE = 10.0
+EPISODE_TIME = 10.0
 """[s]"""
 
 
@@ -63,7 +63,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     ground, free = course(name, seed), name == LEVEL
     sim = Simulation(
         ground.height,
-        RESOLUTION,
+        CELL_SIDE,
         ground.origin,
         friction=float(rng.uniform(0.55, 1.05)),
         payload=float(rng.choice([0.0, 0.0, 1.5])),
@@ -81,7 +81,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     shake, loud = np.zeros(16), rng.choice([0.0, 0.05, 0.15])
     speed = float(rng.choice([0.3, 0.5, 0.5, 0.8]))
     wish, change, push = (0.0, 0.0), 0.5, float(rng.uniform(1.0, 4.0))
-    for tick in range(round(EPISODE / sim.timestep)):
+    for tick in range(round(EPISODE_TIME / sim.timestep)):
         now = sim.time
         if free and now >= change:
             moving = rng.random(2) < 0.75
@@ -108,7 +108,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         sim.apply(held)
         sim.step()
         x, y, _ = sim.position.tolist()
-        if sim.rotation[2, 2] < TIPPED or abs(y) > 1.0 or not -0.75 < x < 6.9:
+        if sim.rotation[2, 2] < TIPPED_COSINE or abs(y) > 1.0 or not -0.75 < x < 6.9:
             break
     return np.array(frames), np.array(outputs)
 

@@ -16,7 +16,7 @@ import warp as wp
 from hal.types import Array
 from tools.train.physics import QPOS, QVEL, Robots
 
-CONTACTS, ROWS = 256, 1200
+CONTACT_ROOM, ROW_ROOM = 256, 1200
 """Room for the contacts of a robot, on the mean of all, and for the rows of its constraints. A robot that lies on its
 side in the ground had 286 and 1160; with 64 and 256 robots at a step were thrown away."""
 DRAWN = ("geom_friction", "body_mass", "body_ipos", "actuator_biasprm")
@@ -34,7 +34,7 @@ class WarpRobots(Robots):
             self._model = mjw.put_model(model, batch_sizes=dict.fromkeys(DRAWN, n))
             # Few iterations are meant (`Physics.iterations`).
             self._model.opt.warn_overflow &= ~mjw.OverflowType.ITERATIONS
-            self._data = mjw.make_data(model, nworld=n, nconmax=CONTACTS, njmax=ROWS)
+            self._data = mjw.make_data(model, nworld=n, nconmax=CONTACT_ROOM, njmax=ROW_ROOM)
             self._commands = [wp.zeros_like(self._data.ctrl) for _ in range(self._steps)]
             self._before = wp.zeros_like(self._data.qvel)
         self._sent = np.full(n, -1)

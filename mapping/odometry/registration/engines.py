@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 EngineName = Literal["kiss_icp", "small_gicp"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
-STEPS = 12
+MOST_STEPS = 12
 """Most point to plane steps of a scan."""
-CONVERGED = 1e-4
+CONVERGED_STEP = 1e-4
 """Smallest step [m, rad] that is followed by another."""
-WIDE = 0.6
+VGICP_REACH = 0.6
 """Reach of correspondences of small_gicp [m]."""
-MAP_VOXEL, GATE, NEAR = 0.4, 0.15, 0.05
+MAP_VOXEL, PLANE_GATE, PLANE_SCALE = 0.4, 0.15, 0.05
 """Voxels of the planes that a scan is compared with, and how near to one a point is on it and counts fully [m]."""
 FEW_PLANES = 50
 """Points on planes below which their statistics say nothing."""
@@ -194,7 +194,7 @@ class GicpEngine:
                 self._map,
                 self._source,
                 guess,
-                max_correspondence_distance=WIDE,
+                max_correspondence_distance=VGICP_REACH,
                 num_threads=1,
                 max_iterations=self._params.max_iterations,
             )
@@ -211,8 +211,8 @@ class GicpEngine:
 def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
     """Point to plane steps from `pose` (4, 4). Directions that are not observed stay as they are."""
     pose = np.ascontiguousarray(pose)
-    for _ in range(STEPS):
-        h, b, _, _, inliers, *_ = planes.fit(points, pose, gate=GATE, scale=NEAR)
+    for _ in range(MOST_STEPS):
+        h, b, _, _, inliers, *_ = planes.fit(points, pose, gate=PLANE_GATE, scale=PLANE_SCALE)
         if inliers < FEW_PLANES:
             break
         step = observed(h / inliers).step(b / inliers)
@@ -225,14 +225,14 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
         moved[:3, :3] = rotation(turned) @ pose[:3, :3]
         moved[:3, 3] = pose[:3, 3] + step[:3]
         pose = moved
-        if largest < CONVERGED:
+        if largest < CONVERGED_STEP:
             break
     return pose
 
 
 def quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
     """Fit of `points` (n, 3), body frame, at `pose` to the planes of the map."""
-    h, _, seen, planar, inliers, total, born = planes.fit(points, pose, gate=GATE, scale=NEAR)
+    h, _, seen, planar, inliers, total, born = planes.fit(points, pose, gate=PLANE_GATE, scale=PLANE_SCALE)
     return Match(
         pose=pose,
         points=len(points),

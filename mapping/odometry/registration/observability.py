@@ -18,9 +18,9 @@ from hal.types import Array
 
 NORMAL_NOISE = 0.002
 """Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
-FREE = 2.0 * NORMAL_NOISE
+FREE_SHARE = 2.0 * NORMAL_NOISE
 """Share below which nothing is observed: what is left is as uncertain as what was taken off."""
-UNKNOWN = 1e2
+UNKNOWN_SIGMA = 1e2
 """Standard deviation of a registration along an unconstrained direction, in metres of the points: it says nothing
 there."""
 
@@ -48,7 +48,7 @@ class Observed:
 
     def covariance(self, variance: float) -> Array:
         """(6, 6) for points with `variance` [m^2] that count together as one."""
-        spread = np.full(6, UNKNOWN**2)
+        spread = np.full(6, UNKNOWN_SIGMA**2)
         seen = self.facing > 0.0
         spread[seen] = variance / (self.weight * self.facing[seen])
         return (self.directions * spread) @ self.directions.T
@@ -69,5 +69,5 @@ def observed(information: Array) -> Observed:
     lever = np.sqrt(turns / weight)
     scale = np.array([1.0, 1.0, 1.0, 1.0 / lever, 1.0 / lever, 1.0 / lever])
     values, vectors = np.linalg.eigh(scale[:, None] * information * scale / weight)
-    facing = np.where(values < FREE, 0.0, values - NORMAL_NOISE)
+    facing = np.where(values < FREE_SHARE, 0.0, values - NORMAL_NOISE)
     return Observed(weight, facing, scale[:, None] * vectors, float(lever))

@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from hal.kernels import borrows
 from hal.types import Array
 
-CAPACITY = 1 << 16
+TABLE_SLOTS = 1 << 16
 """Slots of the hash table; the map is trimmed when half full."""
-POINTS = 60
+SETTLED_POINTS = 60
 """A voxel with this many points is settled and takes no more."""
-PLANE = 5
+PLANE_POINTS = 5
 """Points that make a plane."""
-EARNED = 15.0
+EARNED_SCANS = 15.0
 """Scans after which a surface counts in full; before that it counts with the square of their share. A person who
 walks past at 0.5 m/s is in a voxel for 8 scans."""
-LEVEL = 0.01
+LEVEL_SHARE = 0.01
 """Share of upright surface that is only noise of level ground: level ground tells nothing of where it was seen first.
 """
-LOSES = 0.5
+LOST_SCANS = 0.5
 """Scans that each scan without the surface takes back, until the surface counts in full. A wall is seen in every scan
 or every other; a place where people pass is not."""
 
@@ -81,7 +81,7 @@ def _plane(stats: Array, plane: Array) -> None:
             best = length
             plane[0], plane[1], plane[2] = x / length, y / length, z / length
     if best > 0.0:
-        plane[3] = (stats[10] / EARNED) ** 2
+        plane[3] = (stats[10] / EARNED_SCANS) ** 2
 
 
 @njit(cache=True)
@@ -115,13 +115,13 @@ def _insert(
             plane[s, 3] = 0.0
             new += 1
         if stats[s, 11] != scan or stats[s, 10] == 0.0:
-            if stats[s, 10] < EARNED:
-                kept = max(stats[s, 10] - LOSES * max(scan - stats[s, 11] - 1.0, 0.0), 0.0)
-                stats[s, 10] = min(kept + earned, EARNED)
+            if stats[s, 10] < EARNED_SCANS:
+                kept = max(stats[s, 10] - LOST_SCANS * max(scan - stats[s, 11] - 1.0, 0.0), 0.0)
+                stats[s, 10] = min(kept + earned, EARNED_SCANS)
                 if plane[s, 3] > 0.0:
-                    plane[s, 3] = (stats[s, 10] / EARNED) ** 2
+                    plane[s, 3] = (stats[s, 10] / EARNED_SCANS) ** 2
             stats[s, 11] = scan
-        if stats[s, 0] >= POINTS:
+        if stats[s, 0] >= SETTLED_POINTS:
             continue
         x, y, z = x - anchor[s, 0], y - anchor[s, 1], z - anchor[s, 2]
         stats[s, 0] += 1.0
@@ -187,7 +187,7 @@ def _fit(
         seen += 1
         if plane[s, 4] > 0.0:
             n = stats[s, 0]
-            if n < PLANE:
+            if n < PLANE_POINTS:
                 continue
             _plane(stats[s], plane[s])
             for k in range(3):
@@ -225,7 +225,7 @@ def _fit(
     for k in range(6):
         for m in range(k):
             h[m, k] = h[k, m]
-    return seen, planar, inliers, total, births / max(upright + LEVEL * weight, 1e-12)
+    return seen, planar, inliers, total, births / max(upright + LEVEL_SHARE * weight, 1e-12)
 
 
 @njit(cache=True)
@@ -271,11 +271,11 @@ class VoxelPlanes:
     def __init__(self, size: float, radius: float) -> None:
         """`size`: voxel edge [m]; voxels further than `radius` [m] are forgotten when space runs short."""
         self.size, self.radius = size, radius
-        self._keys = np.full(CAPACITY, -1, np.int64)
-        self._anchor = np.zeros((CAPACITY, 4))
+        self._keys = np.full(TABLE_SLOTS, -1, np.int64)
+        self._anchor = np.zeros((TABLE_SLOTS, 4))
         """First point [m], and what was said of its birth."""
-        self._stats = np.zeros((CAPACITY, 12))
-        self._plane = np.zeros((CAPACITY, 8))
+        self._stats = np.zeros((TABLE_SLOTS, 12))
+        self._plane = np.zeros((TABLE_SLOTS, 8))
         """Unit normal, weight, whether points came since, mean of the points relative to the anchor. What a fit reads
         lies together."""
         self._used = 0
@@ -288,22 +288,22 @@ class VoxelPlanes:
         Its surfaces have yet to earn their weight, unless they are `settled`."""
         self._scans += 1
         radius = self.radius
-        while self._used + len(points) > CAPACITY // 2 and radius > 1.0:
+        while self._used + len(points) > TABLE_SLOTS // 2 and radius > 1.0:
             self._used = _trim(
                 self._keys, self._anchor, self._stats, self._plane, self.size, pose[:3, 3].copy(), radius
             )
             radius *= 0.7
-        room = max(CAPACITY * 3 // 4 - self._used, 0)
+        room = max(TABLE_SLOTS * 3 // 4 - self._used, 0)
         self._used += _insert(
             self._keys, self._anchor, self._stats, self._plane, points[:room], pose, self.size,
-            float(self._scans), EARNED if settled else 1.0, born,
+            float(self._scans), EARNED_SCANS if settled else 1.0, born,
         )  # fmt: skip
 
     def fade(self, share: float) -> None:
         """Let inserted points count for this share, at least enough for a plane, so that new points move settled
         surfaces again."""
         n = self._stats[:, 0]
-        kept = np.maximum(share * n, np.minimum(n, PLANE))
+        kept = np.maximum(share * n, np.minimum(n, PLANE_POINTS))
         self._stats[:, 1:10] *= (kept / np.maximum(n, 1.0))[:, None]
         self._stats[:, 0] = kept
 

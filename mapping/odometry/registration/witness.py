@@ -16,12 +16,12 @@ from hal.rotation import rotation_rpy, rotation_vector
 from hal.types import Array
 from mapping.odometry.registration.voxels import voxel_down_sample
 
-HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
+TRIED_HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
 """Headings tried in turn in a search [rad]: registration finds a heading up to 0.4 rad off, but a robot out of
 contact turns further."""
-OUTVOTED = 0.5
+OUTVOTED_RATIO = 0.5
 """KISS-ICP is not believed where the tracker ends this many times nearer to where wheels and gyro lead."""
-LOOKS = 10
+LOOK_COUNT = 10
 """Looks over which a slow disagreement adds up."""
 
 
@@ -87,7 +87,7 @@ class Witness:
         """Dead reckoning since the last look: what the tracker corrected is not in it."""
         self._tracked = np.eye(4)
         """Where the tracker was at the last look."""
-        self._offsets: deque[Array] = deque(maxlen=LOOKS)
+        self._offsets: deque[Array] = deque(maxlen=LOOK_COUNT)
         """(4, 4) frame of the tracker <- own frame, at the last looks."""
 
     def moved(self, before: Array, predicted: Array) -> None:
@@ -112,7 +112,9 @@ class Witness:
         pose = self._align(source, guess, sigma)
         self._threshold.update_model_deviation(np.linalg.inv(guess) @ pose)
         self._map.update(thin, pose)
-        outvoted = _apart(self._tracked, tracked, reckoned) < OUTVOTED * _apart(self._pose, pose, reckoned)
+        outvoted = _apart(self._tracked, tracked, reckoned) < OUTVOTED_RATIO * _apart(
+            self._pose, pose, reckoned
+        )
         self._pose, self._motion, self._tracked = pose, np.eye(4), tracked
         off, turned = 0.0, 0.0
         for old in self._offsets:
@@ -142,7 +144,7 @@ class Witness:
         if not self._started:
             return guess
         offset = self._offsets[-1]
-        headings = [h for h in HEADINGS if abs(h) <= reach] or [0.0]
+        headings = [h for h in TRIED_HEADINGS if abs(h) <= reach] or [0.0]
         turned = np.eye(4)
         turned[:3, :3] = rotation_rpy(0.0, 0.0, headings[attempt % len(headings)])
         _, source = self._thinned(frame)

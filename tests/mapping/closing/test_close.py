@@ -11,10 +11,10 @@ import pytest
 
 from hal.types import Array
 from mapping.closing import Closed, Closing, Recording, corrected, fuse
-from mapping.closing.close import GATE
+from mapping.closing.close import ODOMETRY_GATE
 from mapping.closing.fuse import ElevationConfig
 from mapping.closing.graph import after, back, between, levelled
-from mapping.closing.verify import ENOUGH, Match, pose_of, rivals
+from mapping.closing.verify import ENOUGH_CERTAINTY, Match, pose_of, rivals
 from tools.closing import HEIGHT, Drift, Drive, drifted, record, ring, twins, way_through
 
 PARAMS = ElevationConfig(resolution=0.08)
@@ -116,10 +116,10 @@ def test_a_corridor_that_looks_like_another_one_is_refused() -> None:
     for second in np.flatnonzero((np.abs(places[:, 1] - 9.0) < 0.1) & (np.abs(places[:, 0]) < 6.0)):
         first = int(np.abs(places[:second] - (places[second] - (0.0, 9.0))).sum(axis=1).argmin())
         for found in closing._verifier.search(first, int(second), np.zeros(4), 3.0, 0.5) or ():
-            if found.certainty > ENOUGH:
+            if found.certainty > ENOUGH_CERTAINTY:
                 sure.append(Match(first, int(second), pose_of(found.place), found.certainty))
     assert sure
-    assert all(closing._from_odometry(match) > GATE for match in sure)
+    assert all(closing._from_odometry(match) > ODOMETRY_GATE for match in sure)
     recording.close()
 
 

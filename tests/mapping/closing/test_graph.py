@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from hal.rotation import wrap
 from hal.types import Array
-from mapping.closing.graph import CAUCHY, HELD, Edges, PoseGraph, after, back, between, jacobians
+from mapping.closing.graph import CAUCHY_WIDTH, HELD_SIGMA, Edges, PoseGraph, after, back, between, jacobians
 
 SIGMA = np.array([0.02, 0.02, 0.03, 0.001])
 LOOP = np.array([0.04, 0.04, 0.04, 0.005])
@@ -202,8 +202,8 @@ def test_a_graph_with_steady_errors_is_the_least_squares_of_a_plain_oracle() -> 
             measured.first, measured.second, measured.relative + ways[:, None] * wrong, measured.sigma
         ).errors(nodes)
         closed = graph.loops.errors(nodes)
-        robust = np.sqrt(CAUCHY**2 * np.log1p((closed**2).sum(axis=1) / CAUCHY**2))
-        return np.concatenate([odometry.ravel(), robust, (nodes[0] - truth[0]) / HELD, wrong / STEADY])
+        robust = np.sqrt(CAUCHY_WIDTH**2 * np.log1p((closed**2).sum(axis=1) / CAUCHY_WIDTH**2))
+        return np.concatenate([odometry.ravel(), robust, (nodes[0] - truth[0]) / HELD_SIGMA, wrong / STEADY])
 
     want = least_squares(errors, np.concatenate([graph.nodes.ravel(), np.zeros(4)]), xtol=1e-14, ftol=1e-14)
     graph.solve(STEADY)

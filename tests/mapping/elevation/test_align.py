@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from hal.rotation import quaternion, rotation_rpy
-from mapping.elevation.align import FLAT, GATE, SCALE, Alignment, _normal_equations, _over_ground
+from mapping.elevation.align import (
+    FLAT_RISE,
+    HEIGHT_GATE,
+    HEIGHT_SCALE,
+    Alignment,
+    _normal_equations,
+    _over_ground,
+)
 from mapping.elevation.fusion import TOP, WEIGHT
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.tiles import LIDAR, TileStore
@@ -42,10 +49,10 @@ def test_the_normal_equations_equal_numpy() -> None:
         around = height[i[s] + 32 : i[s] + 35, j[s] + 32 : j[s] + 35]
         off = float(sums[k, TOP] - height[i[s] + 33, j[s] + 33])
         edge = {int(v) % 16 for v in (i[s], j[s])} & {0, 15}  # neighbours in another tile are not looked up
-        if not edge and np.ptp(around) <= FLAT and abs(off) <= GATE:
+        if not edge and np.ptp(around) <= FLAT_RISE and abs(off) <= HEIGHT_GATE:
             rows.append((1.0, j[s] * RES - at[0], i[s] * RES - at[1], off))
     jac, off = np.array(rows)[:, :3], np.array(rows)[:, 3]
-    w = (1.0 / (1.0 + (off / SCALE) ** 2)) ** 2
+    w = (1.0 / (1.0 + (off / HEIGHT_SCALE) ** 2)) ** 2
     assert n == len(rows) > 300
     assert total == pytest.approx(w.sum(), rel=1e-5)
     np.testing.assert_allclose(a, (jac * w[:, None]).T @ jac, rtol=1e-5, atol=1e-4)

@@ -10,11 +10,11 @@ import pytest
 
 from mapping.elevation.bridging import (
     ASSUMED,
-    BEFORE,
+    BEFORE_WALL,
     BESIDE,
     OVER,
-    RIM,
-    WALL,
+    RIM_WIDTH,
+    WALL_HEIGHT,
     WHEELS,
     bridge,
     bridge_rule,
@@ -46,12 +46,16 @@ class Bridges:
         return 0
 
     def before_wall(self, r, c):
-        around = self.height[max(r - BEFORE, 0) : r + BEFORE + 1, max(c - BEFORE, 0) : c + BEFORE + 1]
-        return bool((around > float(self.height[r, c]) + WALL).any())
+        around = self.height[
+            max(r - BEFORE_WALL, 0) : r + BEFORE_WALL + 1, max(c - BEFORE_WALL, 0) : c + BEFORE_WALL + 1
+        ]
+        return bool((around > float(self.height[r, c]) + WALL_HEIGHT).any())
 
     def ends_at_wall(self, r, c, dr, dc):
-        ahead = [(r + k * dr, c + k * dc) for k in range(1, BEFORE + 1)]
-        return any(seen(self.height, *p) and self.height[p] > float(self.height[r, c]) + WALL for p in ahead)
+        ahead = [(r + k * dr, c + k * dc) for k in range(1, BEFORE_WALL + 1)]
+        return any(
+            seen(self.height, *p) and self.height[p] > float(self.height[r, c]) + WALL_HEIGHT for p in ahead
+        )
 
     def goes_on(self, ra, ca, r, c, dr, dc, n, step, slope):
         reach, widest = max(3, (n + 1) // 2), int(GAP / step + 1e-9)
@@ -138,7 +142,7 @@ class Bridges:
         for r, c in queue:
             if self.source[r, c] >= OVER:
                 self.source[r, c], self.height[r, c], self.trusted[r, c] = UNKNOWN, np.nan, False
-            if level[r, c] > int(RIM / RESOLUTION):
+            if level[r, c] > int(RIM_WIDTH / RESOLUTION):
                 continue
             for cell in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
                 free = seen(self.height, *cell) and (

@@ -16,7 +16,7 @@ from hal.rotation import rotation_rpy
 from hal.safety.monitors import HOLE_WIDTH, taken_out
 from hal.types import MountedLidar
 from mapping.elevation.exchange import HOLE, SOURCES
-from mapping.elevation.holes import REACH, SHALLOW, Crossing, mark_holes, widths
+from mapping.elevation.holes import LEAST_DEPTH, WIDEST_HOLE, Crossing, mark_holes, widths
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.sensor import Sensor
 
@@ -60,9 +60,9 @@ def test_the_width_is_that_between_the_rims_whatever_its_direction(
 @pytest.mark.parametrize(
     "ground",
     [
-        slit(4, 0.0, deep=0.5 * SHALLOW),
+        slit(4, 0.0, deep=0.5 * LEAST_DEPTH),
         slit(4, 0.0, deep=0.2, seen=True),
-        slit(round(REACH / RES) + 2, 0.0),
+        slit(round(WIDEST_HOLE / RES) + 2, 0.0),
         slit(8, 0.0, deep=0.3, fall=0.9),
     ],
     ids=["no ray went down", "a floor that is driven on", "an edge that goes down", "a valley"],

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapping.elevation import fusion as kernels
-from mapping.elevation.tiles import CONTACT, FRESH, LIDAR, PLANTS, UNKNOWN, TileStore
-from mapping.elevation.visibility import COMPANY, judge, trace
+from mapping.elevation.tiles import CONTACT, FRESH_CELL, LIDAR, PLANTS, UNKNOWN, TileStore
+from mapping.elevation.visibility import COMPANY_BAND, judge, trace
 
 RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0, 6])
 
@@ -28,7 +28,7 @@ def test_a_read_out_is_taken_back_as_numpy_does_it() -> None:
     upper[:, 14:30], source[:, 14:30] = np.inf, UNKNOWN  # a tile of which nothing comes stays absent
     known = source != UNKNOWN
     at = np.nonzero(known | np.isfinite(upper))
-    want = np.repeat(FRESH, at[0].size)
+    want = np.repeat(FRESH_CELL, at[0].size)
     want["upper"] = np.where(known[at] & (source[at] != PLANTS), np.inf, upper[at])
     want["height"], want["variance"] = (
         np.where(known[at], layer[at], np.nan) for layer in (height, variance)
@@ -288,7 +288,7 @@ def test_trace_equals_brute_force_over_all_cells() -> None:
             for b in range(max(c - 1, c0), min(c + 2, c0 + 32))
             if (a, b) != (r, c)
         ]
-        return not any(h > height[r, c] - COMPANY for h in around)
+        return not any(h > height[r, c] - COMPANY_BAND for h in around)
 
     late = 0
     middle = np.stack(np.meshgrid(grid, grid), axis=-1) * res  # x, y of row and column

@@ -10,7 +10,7 @@ import pytest
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.mirror import BLOCK, SIDE, WHOLE, CellWindow, MapMirror, blocks_of
+from mapping.elevation.mirror import BLOCK_SIDE, TILE_SIDE, WHOLE_CELLS, CellWindow, MapMirror, blocks_of
 from mapping.elevation.shelf import Shelf
 from mapping.elevation.tiles import AT_ONCE, TileStore
 
@@ -100,14 +100,16 @@ def test_a_patch_over_a_grid_lies_on_top_of_the_map_and_changes_nothing_of_it() 
 
 def test_blocks_hold_every_tile_once() -> None:
     keys = np.array([(r, r // 3) for r in range(-30, 70)] + [(0, 500)])
-    windows = list(blocks_of(keys, SIDE))
+    windows = list(blocks_of(keys, TILE_SIDE))
     assert len(windows) > 10
-    assert all(w.rows <= BLOCK * SIDE and w.cols <= BLOCK * SIDE for w in windows)
+    assert all(w.rows <= BLOCK_SIDE * TILE_SIDE and w.cols <= BLOCK_SIDE * TILE_SIDE for w in windows)
     for row, col in keys:
-        cell = CellWindow(row * SIDE, col * SIDE, SIDE, SIDE)
-        assert sum(cell.within(w).rows == SIDE and cell.within(w).cols == SIDE for w in windows) == 1
-    side = int(WHOLE**0.5) // SIDE
-    assert len(list(blocks_of(np.array([(0, 0), (side - 1, side - 1)]), SIDE, WHOLE))) == 1
+        cell = CellWindow(row * TILE_SIDE, col * TILE_SIDE, TILE_SIDE, TILE_SIDE)
+        assert (
+            sum(cell.within(w).rows == TILE_SIDE and cell.within(w).cols == TILE_SIDE for w in windows) == 1
+        )
+    side = int(WHOLE_CELLS**0.5) // TILE_SIDE
+    assert len(list(blocks_of(np.array([(0, 0), (side - 1, side - 1)]), TILE_SIDE, WHOLE_CELLS))) == 1
 
 
 def scans(elevation: ElevationMap, mirror: MapMirror) -> list[bytes]:

@@ -18,15 +18,15 @@ from mapping.elevation import plants as leaves
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.plants import (
-    BLOCK,
+    BLOCK_SIDE,
     EMPTY,
     HARD,
-    LAYER,
-    LAYERS,
+    LAYER_COUNT,
+    LAYER_HEIGHT,
     LEAFY,
     LOOSE,
-    SECTORS,
-    TALLEST,
+    SECTOR_COUNT,
+    TALLEST_PLANT,
     PlantVolume,
     add_rays,
     columns,
@@ -55,11 +55,15 @@ def test_rays_count_as_numpy_counts_them(seed: int) -> None:
     sensor = np.array([0.03, 0.11, 0.4])
     ends = rng.uniform((-1.5, -1.5, -0.2), (1.5, 1.5, 0.8), (400, 3)).astype(np.float32)
     ends[::40] = np.nan
-    near, far = rng.uniform(0.0, 0.3, SECTORS), rng.uniform(0.2, 1.2, SECTORS)
+    near, far = rng.uniform(0.0, 0.3, SECTOR_COUNT), rng.uniform(0.2, 1.2, SECTOR_COUNT)
     near[::7] = np.inf
-    shape = n, n, LAYERS
+    shape = n, n, LAYER_COUNT
     way, stops, until = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int32)
-    scratch = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.empty(n * n * LAYERS, np.int32)
+    scratch = (
+        np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32),
+        np.empty(n * n * LAYER_COUNT, np.int32),
+    )
     add_rays(
         ends,
         390,
@@ -78,9 +82,9 @@ def test_rays_count_as_numpy_counts_them(seed: int) -> None:
     want_way, want_stops = np.zeros(shape), np.zeros(shape)
 
     def voxel(x: float, y: float, z: float) -> tuple[int, int, int] | None:
-        i, j, k = math.floor(y / RES + 0.5), math.floor(x / RES + 0.5), math.floor(z / LAYER)
+        i, j, k = math.floor(y / RES + 0.5), math.floor(x / RES + 0.5), math.floor(z / LAYER_HEIGHT)
         inside = all(0 <= a - b < m for a, b, m in zip((i, j, k), corner, shape, strict=True))
-        return (i % n, j % n, k % LAYERS) if inside else None
+        return (i % n, j % n, k % LAYER_COUNT) if inside else None
 
     for end in ends[:390].astype(np.float64):
         ray = end - sensor
@@ -119,16 +123,16 @@ def test_a_voxel_that_stops_all_rays_of_one_scan_is_solid_for_a_while_and_counts
     volume.warm_up()
     volume._make()
     sensor = np.array([0.0, 0.0, 0.3])
-    volume.rays = leaves.Rays(np.zeros(SECTORS), np.full(SECTORS, 2.0), 0.6)
+    volume.rays = leaves.Rays(np.zeros(SECTOR_COUNT), np.full(SECTOR_COUNT, 2.0), 0.6)
     at = 25, 0, 6  # x = 1.0 m, 0.3 m high
-    i, j, k = at[1] % len(volume.way), at[0] % len(volume.way), at[2] % LAYERS
+    i, j, k = at[1] % len(volume.way), at[0] % len(volume.way), at[2] % LAYER_COUNT
     face = np.tile(np.array([0.985, 0.0, 0.31], np.float32), (12, 1))
     volume.add(face, 6, sensor, 100)  # too few to tell
     assert volume.stops[i, j, k] == 6
     assert volume.until[i, j, k] == 0
     volume.add(face, 12, sensor, 200)
     assert volume.stops[i, j, k] == volume.way[i, j, k] == 0
-    assert volume.until[i, j, k] == 200 + leaves.HOLD
+    assert volume.until[i, j, k] == 200 + leaves.HOLD_TIME
 
 
 def test_voxels_move_along_and_count_anew_where_the_robot_comes() -> None:
@@ -150,11 +154,11 @@ def test_voxels_move_along_and_count_anew_where_the_robot_comes() -> None:
         got = np.argwhere(volume.way > 0.0)
         assert len(got) == len(held)
         for (i, j, k), value in held.items():
-            assert volume.way[i % n, j % n, k % LAYERS] == np.float32(value)
+            assert volume.way[i % n, j % n, k % LAYER_COUNT] == np.float32(value)
         for at in rng.integers(low, high, (30, 3)):
             i, j, k = (int(v) for v in at)
             held[i, j, k] = float(rng.uniform(0.5, 1.0))
-            volume.way[i % n, j % n, k % LAYERS] = held[i, j, k]
+            volume.way[i % n, j % n, k % LAYER_COUNT] = held[i, j, k]
     assert volume.way.nbytes == size
     assert len(held) > 100
 
@@ -175,23 +179,27 @@ def test_high_cells_equal_numpy() -> None:
         height[source == UNKNOWN] = np.nan
         ground, high, found = high_cells(height, count, source, 0.1, 3)
         known = (source != UNKNOWN) & ~((source == LIDAR) & (count < 3))
-        blocks = [(a, b) for a in range(0, shape[0], BLOCK) for b in range(0, shape[1], BLOCK)]
+        blocks = [(a, b) for a in range(0, shape[0], BLOCK_SIDE) for b in range(0, shape[1], BLOCK_SIDE)]
         level = {}
         for a, b in blocks:
             near = np.zeros(shape, bool)
-            near[max(0, a - BLOCK) : a + 2 * BLOCK, max(0, b - BLOCK) : b + 2 * BLOCK] = True
+            near[max(0, a - BLOCK_SIDE) : a + 2 * BLOCK_SIDE, max(0, b - BLOCK_SIDE) : b + 2 * BLOCK_SIDE] = (
+                True
+            )
             around = height[near & known]
-            around = around[around < around.min(initial=np.inf) + np.float32(leaves.BAND)]
+            around = around[around < around.min(initial=np.inf) + np.float32(leaves.GROUND_BAND)]
             level[a, b] = around.mean(dtype=float) if len(around) >= leaves.GROUND_CELLS else np.nan
         want = np.zeros(shape, bool)
         for r, c in np.ndindex(shape):
-            a, b = r // BLOCK * BLOCK, c // BLOCK * BLOCK
+            a, b = r // BLOCK_SIDE * BLOCK_SIDE, c // BLOCK_SIDE * BLOCK_SIDE
             g = level[a, b]
             nearby = [
-                level.get((a + i, b + j), np.nan) for i in (-BLOCK, 0, BLOCK) for j in (-BLOCK, 0, BLOCK)
+                level.get((a + i, b + j), np.nan)
+                for i in (-BLOCK_SIDE, 0, BLOCK_SIDE)
+                for j in (-BLOCK_SIDE, 0, BLOCK_SIDE)
             ]
-            even = not any(abs(v - g) > leaves.EVEN for v in nearby)
-            high_here = source[r, c] == LIDAR and g + 0.1 < height[r, c] < g + TALLEST and even
+            even = not any(abs(v - g) > leaves.EVEN_RISE for v in nearby)
+            high_here = source[r, c] == LIDAR and g + 0.1 < height[r, c] < g + TALLEST_PLANT and even
             want[r, c] = source[r, c] == PLANTS or high_here
             if found:
                 expect = height[r, c] if source[r, c] == PLANTS else g
@@ -252,16 +260,16 @@ def test_the_rays_to_every_high_cell_are_looked_at_and_few_others() -> None:
                 s = sector(dx + ex, dy + ey)
                 assert near[s] <= away - 0.5 * RES
                 assert far[s] >= away + 0.5 * RES
-            assert top >= ground[r, c] + TALLEST
+            assert top >= ground[r, c] + TALLEST_PLANT
             angles.append(math.atan2(dy, dx))
             reach.append(away)
         for s in np.flatnonzero(far > 0.0):
-            t = (s + 0.5) / (SECTORS / 4.0)
+            t = (s + 0.5) / (SECTOR_COUNT / 4.0)
             a = t if t < 1.0 else 2.0 - t if t < 3.0 else t - 4.0
             middle = math.atan2(a, math.copysign(1.0 - abs(a), abs(t - 2.0) - 1.0))
             apart = [abs(math.remainder(middle - x, math.tau)) for x in angles]
             assert min(apart) < 0.12 + 0.2 / min(reach)
-            assert far[s] <= max(reach) + leaves.MARGIN + 1e-9
+            assert far[s] <= max(reach) + leaves.MOTION_MARGIN + 1e-9
 
 
 def test_columns_and_their_spread_equal_numpy() -> None:
@@ -269,8 +277,10 @@ def test_columns_and_their_spread_equal_numpy() -> None:
     shape, n, corner = (24, 30), 64, (-9, 13, -2)
     met = set()
     for kind in range(8):
-        way = rng.choice([0.0, 0.1, 0.5, 4.0], (n, n, LAYERS), p=[0.04, 0.03, 0.13, 0.8]).astype(np.float32)
-        density = rng.choice([0.2, 3.0, 6.0], (n, n, LAYERS), p=[0.05, 0.9, 0.05])
+        way = rng.choice([0.0, 0.1, 0.5, 4.0], (n, n, LAYER_COUNT), p=[0.04, 0.03, 0.13, 0.8]).astype(
+            np.float32
+        )
+        density = rng.choice([0.2, 3.0, 6.0], (n, n, LAYER_COUNT), p=[0.05, 0.9, 0.05])
         stops = np.round(way * density).astype(np.float32)
         if kind % 2:
             hard = rng.random(way.shape) < 0.003
@@ -283,27 +293,31 @@ def test_columns_and_their_spread_equal_numpy() -> None:
         want = np.zeros(shape, np.uint8)
         for r, c in np.argwhere(high):
             i, j = (corner[0] + r) % n, (corner[1] + c) % n
-            first = max(corner[2], math.floor((ground[r, c] + leaves.FOOT) / LAYER + 0.5))
-            last = min(corner[2] + LAYERS - 1, math.floor((ground[r, c] + TALLEST) / LAYER))
+            first = max(corner[2], math.floor((ground[r, c] + leaves.FOOT_HEIGHT) / LAYER_HEIGHT + 0.5))
+            last = min(corner[2] + LAYER_COUNT - 1, math.floor((ground[r, c] + TALLEST_PLANT) / LAYER_HEIGHT))
             ks = np.arange(first, last + 1)
-            s, w, u = (v[i, j, ks % LAYERS].astype(float) for v in (stops, way, until))
-            solid = (s >= 4) & (s > leaves.SOLID * w) | (s >= 10) & (s > leaves.DENSITY[1] * w)
+            s, w, u = (v[i, j, ks % LAYER_COUNT].astype(float) for v in (stops, way, until))
+            solid = (s >= 4) & (s > leaves.SOLID_DENSITY * w) | (s >= 10) & (s > leaves.LEAF_DENSITY[1] * w)
             hard_here = bool(((u > 500) | solid).any())
-            stopped = np.flatnonzero(s >= leaves.STOPS)
+            stopped = np.flatnonzero(s >= leaves.LEAST_STOPS)
             top = first + (stopped[-1] if len(stopped) else -1)
             s, w = s[: top + 1 - first], w[: top + 1 - first]
-            unknown = w < np.float32(leaves.WAY)
-            empty = ~unknown & ((s < leaves.STOPS) | (s < leaves.DENSITY[0] * w))
-            leafy = ~unknown & ~empty & (s <= leaves.DENSITY[1] * w)
-            dense = bool(((s >= 4) & (s > leaves.DENSITY[1] * w)).any())
+            unknown = w < np.float32(leaves.LEAST_WAY)
+            empty = ~unknown & ((s < leaves.LEAST_STOPS) | (s < leaves.LEAF_DENSITY[0] * w))
+            leafy = ~unknown & ~empty & (s <= leaves.LEAF_DENSITY[1] * w)
+            dense = bool(((s >= 4) & (s > leaves.LEAF_DENSITY[1] * w)).any())
             m = len(s)
             if hard_here:
                 want[r, c] = HARD
-            elif leafy.sum() >= 2 and empty.sum() <= leaves.SHARE * m and unknown.sum() <= leaves.SHARE * m:
+            elif (
+                leafy.sum() >= 2
+                and empty.sum() <= leaves.EMPTY_SHARE * m
+                and unknown.sum() <= leaves.EMPTY_SHARE * m
+            ):
                 want[r, c] = LEAFY
             elif m > 0 and not dense and (empty | unknown).sum() < m:
                 want[r, c] = LOOSE
-            assert tops[r, c] == pytest.approx((top + 1) * LAYER)
+            assert tops[r, c] == pytest.approx((top + 1) * LAYER_HEIGHT)
         np.testing.assert_array_equal(state, want)
         met |= set(state.ravel().tolist())
 
@@ -315,7 +329,7 @@ def test_columns_and_their_spread_equal_numpy() -> None:
                 square = np.s_[r : r + 7, c : c + 7]
                 if ((state[square] == LEAFY) & disc).sum() >= 0.9 * disc.sum():
                     inside[square] |= (state[square] == LEAFY) & disc
-        for _ in range(leaves.RINGS):
+        for _ in range(leaves.BORDER_RINGS):
             grown = inside.copy()
             for r in range(1, shape[0] - 1):
                 for c in range(1, shape[1] - 1):

@@ -12,7 +12,7 @@ from hal.lidar import LIDARS, LidarConfig
 from hal.rotation import quaternion, rotation
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.prior import FEW, PriorCheck
+from mapping.elevation.prior import FEW_CELLS, PriorCheck
 from mapping.elevation.tiles import LIDAR, PRIOR, TileStore
 from tools.bench.perception.map import Mapper, Registered, registered
 from tools.synthetic import arena_run
@@ -107,7 +107,7 @@ def test_each_cell_counts_once_and_few_cells_say_nothing() -> None:
     high = (row % 5 == 0) | ((np.abs(row - 3) <= 1) & (np.abs(col - 7) <= 1))
     sums[high, 0] = 0.5
     check = PriorCheck()
-    check.take(store, index[: FEW - 1], sums[: FEW - 1])
+    check.take(store, index[: FEW_CELLS - 1], sums[: FEW_CELLS - 1])
     assert check.warning == ""
     for _ in range(2):
         check.take(store, index, sums)

@@ -11,7 +11,7 @@ from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import TOUCHED, MapError
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.mirror import MapMirror
-from mapping.elevation.touched import DEPTH, RISE
+from mapping.elevation.touched import WALL_DEPTH, WALL_RISE
 from tests.mapping.elevation.test_map import HEIGHT, LEVEL, flat_scan
 
 FIRST = NS
@@ -41,11 +41,11 @@ def test_it_reads_as_a_wall_as_wide_as_the_body(yaw: float) -> None:
     cells = touched_at(elevation) - (0.9, 0.3)
     c, s = np.cos(yaw), np.sin(yaw)
     along, across = cells @ (c, s), cells @ (-s, c)
-    assert -1e-6 <= along.min() <= along.max() <= DEPTH + 1e-6
+    assert -1e-6 <= along.min() <= along.max() <= WALL_DEPTH + 1e-6
     assert 0.35 < np.ptp(across) < 0.44
     assert abs(across.mean()) < 0.03
     top = elevation.window(0.9 + 0.05 * c, 0.3 + 0.05 * s, 0.0).layers["elevation"]
-    assert top[0, 0] == pytest.approx(HEIGHT + RISE, abs=1e-4)
+    assert top[0, 0] == pytest.approx(HEIGHT + WALL_RISE, abs=1e-4)
 
 
 def test_rays_through_it_erase_nothing_and_it_fades() -> None:

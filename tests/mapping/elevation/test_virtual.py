@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mapping.elevation.virtual import LOW, SLIT, virtual_ground
+from mapping.elevation.virtual import LOW_RAY, SLIT_WIDTH, virtual_ground
 from mapping.filling import fill_unknown
 
 RES = 0.04
@@ -14,9 +14,9 @@ RES = 0.04
 
 def oracle(filled, trusted, upper):
     """Line by line, as the docstring has it."""
-    out = ~trusted & (upper <= filled + LOW)
+    out = ~trusted & (upper <= filled + LOW_RAY)
     believed, dark = out | trusted, np.isnan(upper) & ~out & ~trusted
-    slit = int(SLIT / RES + 1e-6)
+    slit = int(SLIT_WIDTH / RES + 1e-6)
     found = out.copy()
     for turned in (False, True):
         b, d, f = (a.T if turned else a for a in (believed, dark, found))

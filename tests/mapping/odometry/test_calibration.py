@@ -14,7 +14,7 @@ from hal.lidar import LIDARS
 from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import rotation_rpy, rotation_vector, rpy_of
 from hal.types import NS, Extrinsics, GroundTruth, LidarName, LidarScan, Sample
-from mapping.odometry.alignment import KEPT, GyroFit, LeastSquares
+from mapping.odometry.alignment import KEPT_WEIGHT, GyroFit, LeastSquares
 from mapping.odometry.calibration import Calibration
 from mapping.odometry.health import Health
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
@@ -179,7 +179,7 @@ def test_a_clock_is_corrected_only_where_more_than_the_error_of_the_method_is_le
     faded: list[float] = []
     engine = SimpleNamespace(scans=30, planes=SimpleNamespace(fade=faded.append))
     found.registered(NS, here, here, 0, here, 1e-6 * np.eye(6), engine)  # type: ignore[arg-type]
-    assert faded == [KEPT] * corrected, "what was mapped by the wrong clock counts little"
+    assert faded == [KEPT_WEIGHT] * corrected, "what was mapped by the wrong clock counts little"
     (fit,) = found.fits()
     assert fit.applied == (1e-3 * offset if corrected else 0.0)
     assert fit.offset_sigma > 0.001, "as told"

@@ -13,7 +13,7 @@ from hal.lidar.spec import LIDARS
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import GROUND_HEIGHT, raised, taken_out
 from hal.types import NS, GroundTruth, LidarScan
-from mapping.odometry.ground_height import SURE, GroundHeight
+from mapping.odometry.ground_height import SURE_SWEEPS, GroundHeight
 from mapping.odometry.health import Health
 from tests.mapping.odometry.test_pipeline import Driven
 from tools.synthetic import arena_run
@@ -84,7 +84,7 @@ def stands(ground: Ground, lidar: str, unit: float = 1.0, *, turned: bool = Fals
         turn = turn @ rotation_rpy(np.pi, 0.0, 0.0)
     told = GroundHeight("main", place)
     rng = np.random.default_rng(1)
-    for sweep in range(SURE):
+    for sweep in range(SURE_SWEEPS):
         rays = spec.pattern(sweep).directions.astype(np.float64)
         origins = np.tile(at + base @ place, (len(rays), 1))
         ranges = caster.cast(origins.astype(np.float32), (rays @ (base @ turn).T).astype(np.float32))

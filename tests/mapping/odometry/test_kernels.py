@@ -14,7 +14,7 @@ from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.inertial_kernels import propagate, update_velocity
 from mapping.odometry.registration.observability import observed
-from mapping.odometry.registration.planes import PLANE, POINTS, VoxelPlanes
+from mapping.odometry.registration.planes import PLANE_POINTS, SETTLED_POINTS, VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
 from mapping.odometry.wheels import leg_velocity, ways_of_wheels
 
@@ -305,9 +305,9 @@ def test_the_fit_to_planes_equals_numpy() -> None:
     for k, cell in enumerate(cells):
         held.setdefault(cell, []).append(k)
     for at, arm in zip(world, turned, strict=True):
-        mine = held.get(tuple(np.floor(at / size).astype(int)), [])[:POINTS]
+        mine = held.get(tuple(np.floor(at / size).astype(int)), [])[:SETTLED_POINTS]
         want[0] += bool(mine)
-        if len(mine) < PLANE:
+        if len(mine) < PLANE_POINTS:
             continue
         inside = np.vstack([wall, floor])[mine]
         values, vectors = np.linalg.eigh(np.cov(inside.T, bias=True))
@@ -454,7 +454,7 @@ def test_wheel_scale_learns_slip_and_ignores_spinning_wheels() -> None:
 
 
 def test_wheels_that_slip_are_believed_less_unless_the_scans_are_as_rough() -> None:
-    from mapping.odometry.wheel_scale import SLIPPING, WheelScale
+    from mapping.odometry.wheel_scale import SLIP_FACTOR, WheelScale
 
     rng = np.random.default_rng(4)
     for sigma, noisy in ((0.002, False), (0.01, True)):
@@ -464,7 +464,7 @@ def test_wheels_that_slip_are_believed_less_unless_the_scans_are_as_rough() -> N
         assert scale.noise < 0.1
         for _ in range(6):
             scale.learn(0.08, 0.04, 0.1, sigma)  # 0.4 m/s too fast
-        assert scale.noise == pytest.approx(SLIPPING * (0.3 if noisy else 0.36), rel=0.15)
+        assert scale.noise == pytest.approx(SLIP_FACTOR * (0.3 if noisy else 0.36), rel=0.15)
         for _ in range(12):
             scale.learn(0.04, 0.04, 0.1, sigma)
         assert scale.noise < 0.1

@@ -18,7 +18,7 @@ from hal.robots.go2w.facts import L1_MOUNT, XT16_MOUNT
 from hal.rotation import quaternion, rotation_rpy
 from hal.safety.monitors import OWN_PARTS, taken_out
 from hal.types import NS
-from mapping.odometry.own import SPARE, OwnFilter, OwnPart, OwnParts, body_boxes, outline, too_far
+from mapping.odometry.own import PART_MARGIN, OwnFilter, OwnPart, OwnParts, body_boxes, outline, too_far
 
 ANTENNA = OwnPart(low=(-0.22, 0.25, -0.1), high=(-0.19, 0.28, 0.2))
 BODY = body_boxes(0.70, 0.43)
@@ -145,7 +145,7 @@ def test_a_part_that_nobody_told_of_is_told_with_its_box(way: Way) -> None:
     seen = np.array(ANTENNA.high) - (0.0, 0.0, 0.05)  # what of its top the beams meet
     assert all(f <= a for f, a in zip(found.low[:2], ANTENNA.low[:2], strict=True))
     assert all(f >= a for f, a in zip(found.high, seen, strict=True))
-    assert max(np.subtract(found.size, ANTENNA.size)) <= 2 * SPARE + 0.08, "noise to each side at most"
+    assert max(np.subtract(found.size, ANTENNA.size)) <= 2 * PART_MARGIN + 0.08, "noise to each side at most"
     assert OWN_PARTS.tell(parts=str(found)) == parts.words
     with taken_out(OWN_PARTS.name):
         assert parts.words == ""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, ones, pool, settle
+from mapping.relocalise.columns import SLICE_COUNT, SLICE_HEIGHT, matched, occupy, ones, pool, settle
 from mapping.relocalise.search import Columns, as_columns, branch_and_bound, find_places
 from tests.mapping.relocalise.rooms import corner_room, ground_of, seen_from
 
@@ -38,8 +38,8 @@ def test_ground_sets_the_slice_of_its_height_in_the_cell_that_it_lies_in() -> No
     expected = levels.copy()
     settle(height, trusted, 1.0, -2.0, 0.04, 0.9, -2.1, -1.0, 0.125, levels)
     r, c = np.nonzero(trusted)
-    level = np.rint((height[r, c].astype(float) + 1.0) / SLICE).astype(np.int64)
-    on = (level >= 0) & (level < SLICES)
+    level = np.rint((height[r, c].astype(float) + 1.0) / SLICE_HEIGHT).astype(np.int64)
+    on = (level >= 0) & (level < SLICE_COUNT)
     at = np.rint((r * 0.04 + 0.1) / 0.125).astype(int)[on], np.rint((c * 0.04 + 0.1) / 0.125).astype(int)[on]
     np.bitwise_or.at(expected, at, np.uint64(1) << level[on].astype(np.uint64))
     assert 0 < on.sum() < on.size
@@ -64,7 +64,7 @@ def test_a_score_counts_the_bits_that_submap_and_map_share_and_a_window_never_sc
         count = 0
         for (i, j), word in zip(offsets + np.array([row, col]), words, strict=True):
             if 0 <= i < 20 and 0 <= j < 24:
-                lift = shift - SLICES // 2
+                lift = shift - SLICE_COUNT // 2
                 there = int(fine[i, j]) >> lift if lift >= 0 else (int(fine[i, j]) << -lift) % 2**64
                 count += (there & int(word)).bit_count()
         assert matched(fine, 1, row, col, shift, offsets, words) == count
@@ -116,7 +116,7 @@ def test_the_best_place_is_the_robots_within_a_cell(place: tuple[float, float, f
 
 def test_points_become_columns_of_slices() -> None:
     xy, words = as_columns(np.array([[0.1, 0.1, 0.3], [0.2, 0.1, 0.6], [1.1, 0.1, -0.1]]))
-    middle = SLICES // 2
+    middle = SLICE_COUNT // 2
     np.testing.assert_allclose(xy, [[0.15, 0.1], [1.1, 0.1]])
     assert [int(w) for w in words] == [(1 << middle + 1) + (1 << middle + 2), 1 << middle - 1]
-    assert SLICE == 0.25
+    assert SLICE_HEIGHT == 0.25

@@ -30,7 +30,7 @@ from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until
-from tools.bench.console.stack import PACE, Console, Robot, grey, ground, report
+from tools.bench.console.stack import PACE_LENGTH, Console, Robot, grey, ground, report
 
 JOB = 90.0
 """[s] for a process of low priority that imports the stages, or for what compiles kernels."""
@@ -731,7 +731,7 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     page.click("[data-mission=pause]")
     until(page, "document.querySelector('#mission-said').textContent.includes('paused')")
     soon(page, lambda: robot.state == "cancelled")
-    robot.pace = PACE
+    robot.pace = PACE_LENGTH
     page.click("#act-goon")
     page.click("nav [data-view=drive]")
     until(page, "document.querySelector('#why-still').textContent === 'Is the valve open?'")

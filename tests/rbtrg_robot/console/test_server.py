@@ -28,7 +28,7 @@ from rbtrg_robot.console import door, replays, server
 from rbtrg_robot.console.desk import ONLY_SEE
 from rbtrg_robot.console.lease import VALID, Lease
 from rbtrg_robot.console.server import ConsoleError, listening, serving
-from rbtrg_robot.console.terrain import HEADER, LIMIT, SIDE, Terrain, ground_risk, trust_of
+from rbtrg_robot.console.terrain import HEADER, LIMIT, TILE_SIDE, Terrain, ground_risk, trust_of
 from rbtrg_robot.process.runfiles import RunLock, console_file
 from rbtrg_robot.stages.planner import build
 from rbtrg_robot.wire.bus import Bus
@@ -365,13 +365,17 @@ def test_the_lease_ends_by_itself_and_is_taken_over_only_on_purpose() -> None:
 
 def tiles_of(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """By row and column: heights [mm], risk, trust."""
-    size = HEADER.size + 4 * SIDE * SIDE
+    size = HEADER.size + 4 * TILE_SIDE * TILE_SIDE
     found = {}
     for at in range(8, len(data), size):
         row, col = HEADER.unpack_from(data, at)
         body = data[at + HEADER.size : at + size]
-        layers = np.frombuffer(body, np.uint8)[2 * SIDE * SIDE :].reshape(2, SIDE, SIDE)
-        found[row, col] = (np.frombuffer(body, "<i2", SIDE * SIDE).reshape(SIDE, SIDE), layers[0], layers[1])
+        layers = np.frombuffer(body, np.uint8)[2 * TILE_SIDE * TILE_SIDE :].reshape(2, TILE_SIDE, TILE_SIDE)
+        found[row, col] = (
+            np.frombuffer(body, "<i2", TILE_SIDE * TILE_SIDE).reshape(TILE_SIDE, TILE_SIDE),
+            layers[0],
+            layers[1],
+        )
     return found
 
 
@@ -403,7 +407,7 @@ def test_terrain_travels_in_tiles_and_only_where_it_changed() -> None:
     terrain.take(MapPatch(patch.origin, patch.resolution, 2, 1, small))
     terrain.prepare()
     again = tiles_of(terrain.newer(sent, 0.0, 0.0))
-    assert list(again) == [(row // SIDE * SIDE, col // SIDE * SIDE)]
+    assert list(again) == [(row // TILE_SIDE * TILE_SIDE, col // TILE_SIDE * TILE_SIDE)]
     terrain.take(MapPatch(patch.origin, patch.resolution, 3, 2, small))
     terrain.prepare()
     anew = terrain.newer(sent, 0.0, 0.0)
@@ -412,18 +416,20 @@ def test_terrain_travels_in_tiles_and_only_where_it_changed() -> None:
 
 def ages_of(data: bytes) -> dict[tuple[int, int], np.ndarray]:
     """By row and column: seconds."""
-    size = HEADER.size + SIDE * SIDE
+    size = HEADER.size + TILE_SIDE * TILE_SIDE
     return {
-        HEADER.unpack_from(data, at): np.frombuffer(data, np.uint8, SIDE * SIDE, at + HEADER.size).reshape(
-            SIDE, SIDE
-        )
+        HEADER.unpack_from(data, at): np.frombuffer(
+            data, np.uint8, TILE_SIDE * TILE_SIDE, at + HEADER.size
+        ).reshape(TILE_SIDE, TILE_SIDE)
         for at in range(0, len(data), size)
     }
 
 
 def age_at(tiles: dict[tuple[int, int], np.ndarray], x: float, y: float) -> int:
     row, col = round(y / 0.04), round(x / 0.04)
-    return int(tiles[row // SIDE * SIDE, col // SIDE * SIDE][row % SIDE, col % SIDE])
+    return int(
+        tiles[row // TILE_SIDE * TILE_SIDE, col // TILE_SIDE * TILE_SIDE][row % TILE_SIDE, col % TILE_SIDE]
+    )
 
 
 def test_every_cell_has_its_age(monkeypatch: pytest.MonkeyPatch) -> None:

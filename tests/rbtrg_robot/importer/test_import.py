@@ -72,7 +72,7 @@ def test_every_layout_gives_the_same_sweep(tmp_path: Path, layout: str) -> None:
     )  # float32 counts from the header, clocks from the first point
     np.testing.assert_allclose(first["time"], wanted["time"] - shift, atol=1.1 * TIME_QUANTUM)
     entry = next(e for e in read_run(run) if e.topic == t.POINTS.name)
-    assert abs(entry.publish_time - (foreign.START + round(float(shift) * NS))) < 1_000
+    assert abs(entry.publish_time - (foreign.START_STAMP + round(float(shift) * NS))) < 1_000
 
 
 @pytest.mark.parametrize("kind", ["db3", "zstd", "messages", "bag"])
@@ -149,7 +149,7 @@ def test_without_an_imu_it_runs_by_lidar_alone_and_says_so(tmp_path: Path) -> No
 def test_without_a_lidar_it_runs_by_wheels_and_imu(tmp_path: Path) -> None:
     rolling = []
     for k in range(300):
-        stamp = foreign.START + k * NS // 50
+        stamp = foreign.START_STAMP + k * NS // 50
         twist = msg.Twist(linear=msg.Vector3(x=0.5 if k > 100 else 0.0))
         message = msg.Odometry(
             header=header(stamp, "odom"),
@@ -162,7 +162,7 @@ def test_without_a_lidar_it_runs_by_wheels_and_imu(tmp_path: Path) -> None:
     assert counts[t.WHEELS.name] == 300
     rerun(run, ["odometry"], tmp_path / "again.mcap")
     way = of_run(tmp_path / "again.mcap")
-    driven = 0.5 * (way.stamps[-1] - foreign.START - 2 * NS) / NS
+    driven = 0.5 * (way.stamps[-1] - foreign.START_STAMP - 2 * NS) / NS
     assert way.poses[-1, 0, 3] == pytest.approx(driven, abs=0.1)
 
 
@@ -203,9 +203,10 @@ def test_what_would_change_nothing_is_refused(tmp_path: Path, how: dict[str, Any
 def test_a_cloud_that_somebody_made_of_sweeps_is_no_lidar(tmp_path: Path) -> None:
     plain = np.zeros(90_000, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
     plain["x"] = 1.0
-    whole = foreign.encode_cloud(foreign.START, "map", plain)
+    whole = foreign.encode_cloud(foreign.START_STAMP, "map", plain)
     derived = [
-        ("/map_points", msg.PointCloud2.__msgtype__, foreign.START + k * NS // 10, whole) for k in range(3)
+        ("/map_points", msg.PointCloud2.__msgtype__, foreign.START_STAMP + k * NS // 10, whole)
+        for k in range(3)
     ]
     found = look(Bag(foreign.write(tmp_path / "bag", [*foreign.sweeps("hesai", 3), *derived])), {}, {})
     assert found.roles["main"].source.topic == "/points"
@@ -274,14 +275,14 @@ def test_two_clocks_are_brought_together_and_told(tmp_path: Path) -> None:
             "/imu",
             msg.Imu.__msgtype__,
             stamp,
-            encode(msg.Imu(header=header(stamp - foreign.START + 3 * NS, "imu"))),
+            encode(msg.Imu(header=header(stamp - foreign.START_STAMP + 3 * NS, "imu"))),
         )
         for _, _, stamp, _ in foreign.imu(0.6)
     ]
     run, notes, _ = imported(foreign.write(tmp_path / "bag", [*late, *booted]), tmp_path / "run")
     assert any("the clock of imu differs" in note for note in notes)
     stamps = [e.publish_time for e in read_run(run) if e.topic == t.IMU.name]
-    assert abs(stamps[0] - foreign.START) < 200_000_000
+    assert abs(stamps[0] - foreign.START_STAMP) < 200_000_000
 
 
 def test_what_has_no_role_is_handed_on_bit_for_bit(tmp_path: Path) -> None:
@@ -292,11 +293,11 @@ def test_what_has_no_role_is_handed_on_bit_for_bit(tmp_path: Path) -> None:
             schema = Schema(0, b"", "ros2msg", kind)
             writer.copy(Entry(topic, kind, data, stamp, stamp, 1), schema, Channel(0, topic, "cdr", {}, 0))
         for encoding in ("json", "protobuf"):
-            entry = Entry("/thing", odd.name, b'{"a": 1}', foreign.START, foreign.START, 1)
+            entry = Entry("/thing", odd.name, b'{"a": 1}', foreign.START_STAMP, foreign.START_STAMP, 1)
             writer.copy(entry, odd, Channel(0, "/thing", encoding, {"k": encoding}, 0))
-        mine = encode(msg.Odometry(header=header(foreign.START, "odom")))
+        mine = encode(msg.Odometry(header=header(foreign.START_STAMP, "odom")))
         writer.copy(
-            Entry("/odom", msg.Odometry.__msgtype__, mine, foreign.START, 1, 1),
+            Entry("/odom", msg.Odometry.__msgtype__, mine, foreign.START_STAMP, 1, 1),
             Schema(0, b"", "ros2msg", msg.Odometry.__msgtype__),
             Channel(0, "/odom", "cdr", {}, 0),
         )

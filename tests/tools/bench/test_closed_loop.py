@@ -227,7 +227,7 @@ def test_a_small_study_gives_the_same_numbers_with_two_workers_as_with_one(tmp_p
     driven = [r for r in records["0"].values() if r["eligible"]]
     assert {r["method"] for r in driven} == {"native", "ours"}, "of each method one drove"
     for record in driven:
-        assert record["simulated"] > protocol.SETTLE + record["time"] - 0.1 > protocol.SETTLE
+        assert record["simulated"] > protocol.SETTLE_TIME + record["time"] - 0.1 > protocol.SETTLE_TIME
         assert record["success"] == (record["end"] == "arrived") == (record["cause"] == "")
         assert all(isinstance(record[name], float) for name in MEANS)
     for method in ("native", "ours"):

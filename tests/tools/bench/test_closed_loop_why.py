@@ -80,14 +80,14 @@ def test_a_transition_costs_more_under_full_by_its_body_risk_and_unknown_ground(
 def test_the_stack_gets_the_survey_and_no_truth_as_its_map() -> None:
     ground, survey = (np.load(file) for file in stack.files(SCENE))
     scene = load_scene(SCENE)
-    cells = round(protocol.APRON / scene.resolution)
+    cells = round(protocol.APRON_WIDTH / scene.resolution)
     np.testing.assert_array_equal(ground["height"][cells:-cells, cells:-cells], scene.height)
     np.testing.assert_array_equal(survey["height"][cells:-cells, cells:-cells], scene.survey)
     assert np.isnan(survey["height"][:cells]).all()
 
 
 def test_the_stack_drives_a_query_and_its_record_fits_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(protocol, "BUDGET", 2.0)
+    monkeypatch.setattr(protocol, "TIME_BUDGET", 2.0)
     start, goal = load_scene(SCENE).pairs[3]
     record = stack.drive(
         protocol.Trial(SCENE, 3, "ours-mapped", "vmc", "all", 0),
@@ -119,7 +119,7 @@ def test_to_and_fro_counts_traverses_falls_and_interventions(monkeypatch: pytest
     )
     fro = lrc.back(way)
     assert (fro.line[0], fro.line[-1]) == (way.line[-1], way.line[0])
-    assert fro.speed[0] == lrc.SLOWEST
+    assert fro.speed[0] == lrc.SLOWEST_SPEED
     assert fro.speed[1:] == [*[0.4] * 33, 0.0]
     driven = []
 

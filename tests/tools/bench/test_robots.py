@@ -24,7 +24,7 @@ def test_another_robot_reaches_a_goal_of_the_yard(driver: str) -> None:
 def test_a_world_of_the_challenge_is_driven_and_judged_once(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(barn, "LONGEST", 1.5)
+    monkeypatch.setattr(barn, "LONGEST_DRIVE", 1.5)
     command = ["--robots", "jackal", "--seeds", "0", "--workers", "0", "--out", str(tmp_path / "out.jsonl")]
     report = barn.run(command)
     monkeypatch.setattr(barn, "drive", lambda *_: pytest.fail("it stands in the file"))

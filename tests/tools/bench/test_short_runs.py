@@ -21,7 +21,12 @@ def test_bags_and_files_of_others_are_read_or_refused_with_words_that_help() -> 
 
 
 def test_open_ground_and_a_crowd_are_driven_within_their_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("WAY", 0.4), ("REST", 1.2), ("SECONDS", 2.0), ("SIGHTS", ("field_wall",))):
+    for name, value in (
+        ("OPEN_WAY", 0.4),
+        ("REST_TIME", 1.2),
+        ("CROWD_SECONDS", 2.0),
+        ("SIGHTS", ("field_wall",)),
+    ):
         monkeypatch.setattr(open_ground, name, value)
     monkeypatch.setattr(open_ground, "CROWDS", ("field_posts",))
     report = perception.run(["--only", "open", "--open", "1"])
@@ -62,10 +67,10 @@ def test_a_stop_is_heard_on_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_graphs_and_queries_of_a_small_map_have_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning, "LARGE", 8.0)
+    monkeypatch.setattr(planning, "LARGE_SIDE", 8.0)
     monkeypatch.setattr(planning, "cpu_seconds", lambda _work, _repeats: 1.0)
-    monkeypatch.setattr(query, "PAIRS", 4)
-    monkeypatch.setattr(query, "UPDATES", 4)
+    monkeypatch.setattr(query, "PAIR_COUNT", 4)
+    monkeypatch.setattr(query, "UPDATE_COUNT", 4)
     for part in (watch, crossings):
         monkeypatch.setattr(part, "rows", lambda report: None)
     report = planning.run([])
@@ -75,7 +80,7 @@ def test_graphs_and_queries_of_a_small_map_have_every_row(monkeypatch: pytest.Mo
 
 
 def test_no_path_leads_over_what_stands_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watch, "WORLDS", 1)
-    monkeypatch.setattr(watch, "PATHS", 2)
+    monkeypatch.setattr(watch, "WORLD_COUNT", 1)
+    monkeypatch.setattr(watch, "PATH_COUNT", 2)
     report = planning.run(["--only", "watch"])
     assert not [row for row in report.rows if not row.ok]

@@ -17,7 +17,7 @@ from tools.train.checkpoint import Checkpoint
 from tools.train.cloning import fit
 from tools.train.environment import SEEN
 from tools.train.run import train
-from tools.train.settings import HIDDEN, Physics, Ppo, Settings
+from tools.train.settings import POLICY_LAYERS, Physics, Ppo, Settings
 
 
 def test_advantages_of_three_steps_by_hand() -> None:
@@ -43,7 +43,7 @@ def test_a_clone_follows_its_teacher() -> None:
 
 def test_exported_layers_do_what_the_trained_ones_do() -> None:
     rng = np.random.default_rng(1)
-    weights = network.fresh([SEEN, *HIDDEN, 16], 1.0, rng)
+    weights = network.fresh([SEEN, *POLICY_LAYERS, 16], 1.0, rng)
     mean, spread = rng.normal(size=SEEN).astype(np.float32), rng.uniform(0.1, 2.0, SEEN).astype(np.float32)
     x = rng.normal(size=SEEN).astype(np.float32)
     wanted = np.asarray(perceptron.forward(perceptron.as_tree(weights), (x - mean) / spread))
@@ -54,7 +54,7 @@ def test_exported_layers_do_what_the_trained_ones_do() -> None:
 def test_a_run_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     settings = Settings(physics=Physics(models=1), ppo=Ppo(robots=8, horizon=4, batches=2, epochs=1, warm=1))
     rng = np.random.default_rng(0)
-    weights = network.fresh([SEEN, *HIDDEN, 16], 0.01, rng)
+    weights = network.fresh([SEEN, *POLICY_LAYERS, 16], 0.01, rng)
     point = Checkpoint(
         settings, weights, None, None, np.zeros(SEEN, np.float32), np.ones(SEEN, np.float32), None
     )

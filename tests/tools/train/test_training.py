@@ -20,9 +20,9 @@ from hal.types import PostureCommand, VelocityCommand
 from tools.train import teacher
 from tools.train.checkpoint import Checkpoint
 from tools.train.environment import (
-    DETOUR,
     DETOUR_EVERY,
-    KNOWN,
+    DETOUR_TIME,
+    KNOWN_COUNT,
     SEEN,
     Body,
     Environment,
@@ -31,7 +31,7 @@ from tools.train.environment import (
     rewards,
 )
 from tools.train.settings import DESCRIPTION, PARAMS, PERIOD, Physics, Settings
-from tools.train.terrain import KINDS, LEVELS, OPEN, RESOLUTION, Ground, lane
+from tools.train.terrain import CELL_SIDE, KINDS, LEVEL_COUNT, OPEN, Ground, lane
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +42,10 @@ def env() -> Environment:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_lanes_grow_harder_and_begin_level(kind: str) -> None:
-    lanes = [lane(kind, level) for level in range(LEVELS)]
+    lanes = [lane(kind, level) for level in range(LEVEL_COUNT)]
     spans = [float(np.ptp(z)) for z in lanes]
     assert spans[0] < spans[4] < spans[9]
-    assert not any(z[:, : round(2.0 / RESOLUTION)].any() for z in lanes)
+    assert not any(z[:, : round(2.0 / CELL_SIDE)].any() for z in lanes)
     np.testing.assert_array_equal(lanes[7], lane(kind, 7))
 
 
@@ -66,7 +66,7 @@ def test_a_frame_is_what_the_controller_sees(env: Environment, tmp_path: Path) -
     quiet = Settings(physics=Physics(models=1, noise={"gyro": 0.0, "up": 0.0, "dq": 0.0}))
     one = Environment(quiet, 5, np.random.default_rng(1))
     seen, known = one.observe()
-    assert (seen.shape, known.shape) == ((5, SEEN), (5, KNOWN))
+    assert (seen.shape, known.shape) == ((5, SEEN), (5, KNOWN_COUNT))
     s, r = one.robots.state[0], one.robots
     state = LowState(0.0, s[1:24][r.qadr], s[24:46][r.vadr], np.zeros(16), s[4:8], s[27:30], np.zeros(3))
     vx, vy, wz = one.command[0].tolist()
@@ -127,7 +127,7 @@ def test_robots_in_lanes_are_told_to_slow_down_to_turn_aside_and_to_stand() -> N
     assert (np.ptp(wz, axis=0) > 0.2).any(), "they are where they began, and told to turn"
     # A detour takes a second of four on average.
     share = 1.0 - on_way.mean()
-    expected = np.mean(DETOUR) / (np.mean(DETOUR) + DETOUR_EVERY)
+    expected = np.mean(DETOUR_TIME) / (np.mean(DETOUR_TIME) + DETOUR_EVERY)
     assert 0.3 * expected < share < 2.0 * expected
     assert (on_way[-1] & ~on_way.all(axis=0)).any(), "it ends by itself"
 

@@ -18,7 +18,7 @@ from tools.baselines.art.roadmap import cheapest, connect, seconds
 from tools.baselines.route import places
 
 Array = NDArray[np.float64]
-PART = 0.01
+TESTED_SHARE = 0.01
 """Share of the space's extent between two poses that are tested along an edge."""
 
 
@@ -69,8 +69,8 @@ class _Work:
         self.speed = np.array(p.speed)
         rows, cols = grid.shape
         # The release bounds space by twice the map: translation is tested coarsely, rotation finely.
-        self.step = PART * 2.0 * math.hypot(rows, cols) * grid.resolution
-        self.turn = PART * 0.5 * math.pi
+        self.step = TESTED_SHARE * 2.0 * math.hypot(rows, cols) * grid.resolution
+        self.turn = TESTED_SHARE * 0.5 * math.pi
 
     def poses(self, rows: NDArray[np.int64], cols: NDArray[np.int64], yaw: Array) -> Array:
         """(n, 7) poses on the ground of those cells, each shifted along the normal and tilted at random."""

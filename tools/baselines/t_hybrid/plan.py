@@ -12,7 +12,7 @@ from planning.search import Plan, PlanRequest
 from planning.search.door import as_plan
 from tools.baselines.route import places
 from tools.baselines.t_hybrid.params import THybridParams
-from tools.baselines.t_hybrid.search import EXHAUSTED, FOUND, HEADINGS, risk_at, search
+from tools.baselines.t_hybrid.search import EXHAUSTED, FOUND, HEADING_COUNT, risk_at, search
 from tools.baselines.t_hybrid.smooth import smooth
 from tools.baselines.t_hybrid.terrain import HybridMap, assess
 
@@ -40,7 +40,7 @@ def plan(
     bearing = math.atan2(b[1] - a[1], b[0] - a[0])
     guide = bearing if request.goal_yaw is None else request.goal_yaw
     headings = (
-        np.arange(HEADINGS) * 2.0 * math.pi / HEADINGS + 1e-6
+        np.arange(HEADING_COUNT) * 2.0 * math.pi / HEADING_COUNT + 1e-6
         if request.start_yaw is None
         else np.array([request.start_yaw % (2.0 * math.pi)])
     )

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-HALF = 0.5 * math.pi
+HALF_PI = 0.5 * math.pi
 
 
 @njit(cache=True)
@@ -63,7 +63,7 @@ def _words(x, y, phi):
     rho = (20.0 - rb * rb) / 16.0
     if 0.0 <= rho <= 1.0:
         u = -math.acos(rho)
-        if u >= -HALF:
+        if u >= -HALF_PI:
             t, v = _outer(u, u, bx, by, phi)
             if t >= 0.0 and v >= 0.0:
                 best = min(best, t - 2.0 * u + v)
@@ -72,16 +72,16 @@ def _words(x, y, phi):
         r = math.sqrt(ra * ra - 4.0)
         u = 2.0 - r
         t = _wrap(ta + math.atan2(r, -2.0))
-        v = _wrap(phi - HALF - t)
+        v = _wrap(phi - HALF_PI - t)
         if t >= 0.0 and u <= 0.0 and v <= 0.0:
-            best = min(best, t + HALF - u - v)
+            best = min(best, t + HALF_PI - u - v)
     # 8.10: left, right backward by a quarter, straight, right
     if rb >= 2.0:
         t = math.atan2(bx, -by)
         u = 2.0 - rb
-        v = _wrap(t + HALF - phi)
+        v = _wrap(t + HALF_PI - phi)
         if t >= 0.0 and u <= 0.0 and v <= 0.0:
-            best = min(best, t + HALF - u - v)
+            best = min(best, t + HALF_PI - u - v)
         # 8.11: five pieces
         u = 4.0 - math.sqrt(rb * rb - 4.0)
         if u <= 0.0:

@@ -12,18 +12,18 @@ from numba import njit
 from tools.baselines.t_hybrid.reeds_shepp import reeds_shepp
 from tools.baselines.t_hybrid.terrain import NO_RECORD, TRAVERSABLE
 
-HEADINGS = 72
-STEP = 0.7068582
+HEADING_COUNT = 72
+STEP_LENGTH = 0.7068582
 """Length of every primitive."""
 ARC_X, ARC_Y, ARC_TURN = 0.705224, 0.0415893, 0.1178097
 """The arc's end [cells, cells, rad]."""
-RADIUS = 6.0
+ARC_RADIUS = 6.0
 """Of the arcs."""
-WEIGHT = 4.0
+RISK_WEIGHT = 4.0
 """Cost per cell and risk."""
-TURNING, REVERSING, SWITCHING = 1.05, 2.0, 2.0
+TURN_FACTOR, REVERSE_FACTOR, SWITCH_FACTOR = 1.05, 2.0, 2.0
 """Factors of cost for another primitive, for driving backward, for changing the direction."""
-TIE = 0.01
+TIE_MARGIN = 0.01
 NO_ROUTE, FOUND, EXHAUSTED = 0, 1, 2
 
 
@@ -93,7 +93,7 @@ def distances(occupied, x, y):
 
 @njit(cache=True)
 def _index(x, y, heading, rows, cols):
-    t = math.floor(heading / (2.0 * math.pi / HEADINGS)) % HEADINGS
+    t = math.floor(heading / (2.0 * math.pi / HEADING_COUNT)) % HEADING_COUNT
     return (t * rows + math.floor(y)) * cols + math.floor(x)
 
 
@@ -118,7 +118,7 @@ def search(
     `starts` (k, 3): poses to begin at; `goal` (3,): reached within a cell of x, y at any heading, its heading guides.
     """
     rows, cols = flag.shape
-    n = HEADINGS * rows * cols
+    n = HEADING_COUNT * rows * cols
     g = np.full(n, np.inf)
     f = np.full(n, np.inf)
     pose = np.zeros((n, 3))
@@ -157,7 +157,7 @@ def search(
         for m in range(6):
             back = m >= 3
             turn = 0.0 if m % 3 == 0 else (1.0 if m % 3 == 1 else -1.0)
-            dx = STEP if turn == 0.0 else ARC_X
+            dx = STEP_LENGTH if turn == 0.0 else ARC_X
             dy = turn * ARC_Y * sign
             dh = turn * ARC_TURN
             if back:
@@ -176,14 +176,14 @@ def search(
             risk = risk_at(flag, rough, normal, nx, ny, nh, max_pitch, max_roll, shift)
             if not np.isfinite(risk):
                 continue
-            cost = STEP * WEIGHT * max(risk, floor)
+            cost = STEP_LENGTH * RISK_WEIGHT * max(risk, floor)
             before = primitive[i]
             if before >= 0 and before != m:
-                cost *= TURNING
+                cost *= TURN_FACTOR
             if back:
-                cost *= REVERSING
+                cost *= REVERSE_FACTOR
             if before >= 0 and (before >= 3) != back:
-                cost *= SWITCHING
+                cost *= SWITCH_FACTOR
             new = g[i] + cost
             if state[k] == 1 and new >= g[k] and k != i:
                 continue
@@ -192,7 +192,7 @@ def search(
                 continue
             if k == i:
                 # A step that stays in its bin takes its parent's place, unless it is clearly worse.
-                if total > f[i] + TIE:
+                if total > f[i] + TIE_MARGIN:
                     continue
                 parent[k] = parent[i]
             else:
@@ -212,7 +212,9 @@ def _to_go(way, x, y, h, goal):
     """The larger of the way of a car on empty ground and the way over free cells, less what lies within a cell."""
     dx, dy = goal[0] - x, goal[1] - y
     c, s = math.cos(h), math.sin(h)
-    car = RADIUS * reeds_shepp((c * dx + s * dy) / RADIUS, (c * dy - s * dx) / RADIUS, goal[2] - h)
+    car = ARC_RADIUS * reeds_shepp(
+        (c * dx + s * dy) / ARC_RADIUS, (c * dy - s * dx) / ARC_RADIUS, goal[2] - h
+    )
     return max(car, way[int(y), int(x)] - math.sqrt(2.0))
 
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from tools.baselines.t_hybrid.params import THybridParams
 
-CEILING = 1.0
+CEILING_HEIGHT = 1.0
 """Points this far above the lowest of a window are dropped [m]."""
-SMOOTH = 0.05
+ROUGHNESS_SCALE = 0.05
 """Roughness 1 is a mean distance from the plane of so much [m]."""
-MOST = 0.20
+PLANE_DISTANCE = 0.20
 """Largest distance of a point from the plane of a traversable cell [m]."""
-OCCUPIED = 2
+OCCUPIED_POINTS = 2
 """Points in a blocked cell from which it counts as an obstacle."""
 NO_RECORD, BLOCKED, TRAVERSABLE = -1, 0, 1
 
@@ -78,7 +78,7 @@ def assess_points(
     rough = np.zeros((rows, cols))
     normal = np.zeros((rows, cols, 3))
     _assess(p[order], first, cols + ring, params.cell, params.max_slope, params.ring, flag, rough, normal)
-    many = count.reshape(rows + ring, cols + ring)[:rows, :cols] >= OCCUPIED
+    many = count.reshape(rows + ring, cols + ring)[:rows, :cols] >= OCCUPIED_POINTS
     return HybridMap(flag, rough, normal, (flag == BLOCKED) & many, origin, params.cell)
 
 
@@ -119,7 +119,7 @@ def _judge(window, own, max_slope, flag, rough, normal, r, c):
     if window.shape[0] < 3:
         return
     low = window[:, 2].min()
-    kept = window[window[:, 2] <= low + CEILING]
+    kept = window[window[:, 2] <= low + CEILING_HEIGHT]
     n = kept.shape[0]
     if n < 3:
         return
@@ -145,10 +145,10 @@ def _judge(window, own, max_slope, flag, rough, normal, r, c):
     if own > 0:
         values = np.unique(residual[: min(own, n)])
         for k in range(2, values.size - 2):
-            if abs(values[k]) > MOST:
+            if abs(values[k]) > PLANE_DISTANCE:
                 return
     flag[r, c] = TRAVERSABLE
-    rough[r, c] = np.abs(residual).mean() / SMOOTH
+    rough[r, c] = np.abs(residual).mean() / ROUGHNESS_SCALE
 
 
 @njit(cache=True)

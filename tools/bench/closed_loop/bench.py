@@ -105,7 +105,7 @@ def _options(args: list[str]) -> argparse.Namespace:
         help="of the controllers that learnt: folder, file or name; else ours for hybrid, the fetched one for policy",
     )
     add("--draws", type=int, default=5, help="frictions and start offsets per query")
-    add("--queries", type=int, default=protocol.QUERIES, help="start-goal pairs per scene, at most 40")
+    add("--queries", type=int, default=protocol.QUERY_COUNT, help="start-goal pairs per scene, at most 40")
     add("--workers", type=int, default=1, help="processes on this machine; 0: this one")
     add("--scheduler", default="", help="address of a dask scheduler: spread the work there")
     add("--lrc", action="store_true", help="to and fro on each line for 5 minutes, at most 10 traverses")

@@ -13,7 +13,7 @@ from tools.bench.closed_loop.routes import Route
 from tools.bench.closed_loop.trial import distance
 
 Record = dict[str, Any]
-STAYED = 0.3
+STAY_RADIUS = 0.3
 """A robot ended where it came this close [m] to its last place for good."""
 
 
@@ -86,7 +86,7 @@ def end_of(record: Record, route: Route) -> End | None:
         return None
     trace = np.array(record["trace"])
     last = trace[-1, 1:3]
-    away = np.flatnonzero(np.hypot(*(trace[:, 1:3] - last).T) > STAYED)
+    away = np.flatnonzero(np.hypot(*(trace[:, 1:3] - last).T) > STAY_RADIUS)
     k = int(away[-1]) + 1 if len(away) else 0
     vertices = np.array(route.vertices)
     nearest = [float(distance(last[None], vertices[i : i + 2])[0]) for i in range(len(vertices) - 1)]

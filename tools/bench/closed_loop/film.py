@@ -25,10 +25,10 @@ from tools.bench.closed_loop.routes import Route, scene_of
 from tools.bench.closed_loop.trial import drive
 from tools.bench.report import Report
 
-SHOTS = 5
+SHOT_COUNT = 5
 SMALL = View(width=300, height=240, fps=50, distance=2.2, follow=0.0)
 """Of the pictures of a strip: the camera looks at the robot."""
-BEFORE, AFTER = 3.0, 2.0
+TIME_BEFORE, TIME_AFTER = 3.0, 2.0
 """A strip shows this time before and after a drive ended [s]."""
 
 
@@ -37,7 +37,7 @@ def shoot(
 ) -> Film:
     """The trial driven again; its poses at `times` [s], or all."""
     trial = protocol.Trial(**{name: record[name] for name in protocol.Trial.__slots__})
-    film = Film(scene_of(trial.scene).with_apron(protocol.APRON), view=view)
+    film = Film(scene_of(trial.scene).with_apron(protocol.APRON_WIDTH), view=view)
     left = list(times or [])
 
     def see(t: float, sim: Simulation) -> None:
@@ -61,7 +61,7 @@ def strip(file: Path, case: Case, policy: str) -> None:
             pair = candidate
             break
     figure, panels = plt.subplots(
-        2, 1 + SHOTS, figsize=(13, 4.6), layout="constrained", width_ratios=[1.7, *[1.0] * SHOTS]
+        2, 1 + SHOT_COUNT, figsize=(13, 4.6), layout="constrained", width_ratios=[1.7, *[1.0] * SHOT_COUNT]
     )
     for k in (0, 1):
         record, route = pair[k], case.routes[k]
@@ -74,9 +74,11 @@ def strip(file: Path, case: Case, policy: str) -> None:
             continue
         last = record["trace"][-1][0]
         if record["success"]:
-            times = np.linspace(0.0, last, SHOTS + 1)[1:]
+            times = np.linspace(0.0, last, SHOT_COUNT + 1)[1:]
         else:
-            times = np.linspace(max(end.time - BEFORE, 0.2), min(end.time + AFTER, last), SHOTS)
+            times = np.linspace(
+                max(end.time - TIME_BEFORE, 0.2), min(end.time + TIME_AFTER, last), SHOT_COUNT
+            )
         film = shoot(record, route, policy, SMALL, times.tolist())
         for panel, frame, t in zip(panels[k, 1:], film.frames(), times, strict=False):
             panel.imshow(frame)

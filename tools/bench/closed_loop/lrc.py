@@ -16,11 +16,11 @@ from tools.bench.closed_loop.routes import Route
 from tools.bench.closed_loop.trial import controller_of, follow, place, simulation, tracker_of
 from tools.bench.report import Report
 
-MINUTES, MOST = 5.0, 10
+CHALLENGE_MINUTES, MOST_TRAVERSES = 5.0, 10
 """Time and traverses of the challenge."""
-REPETITIONS = 30
+ENDURANCE_REPETITIONS = 30
 """Of the endurance test, lost ones counted."""
-SLOWEST = 0.1
+SLOWEST_SPEED = 0.1
 """Where a line slows down for its end, the way back begins [m/s]."""
 FALLS = ("fall", "off an edge")
 
@@ -28,7 +28,7 @@ FALLS = ("fall", "off an edge")
 def back(route: Route) -> Route:
     """The same line from its end to its start."""
     least = route.least[::-1]
-    speed = [max(v, SLOWEST) for v in route.speed[::-1]]
+    speed = [max(v, SLOWEST_SPEED) for v in route.speed[::-1]]
     return replace(
         route, line=route.line[::-1], speed=[*speed[:-1], 0.0] if speed else [], least=least, yaw=[]
     )
@@ -46,7 +46,7 @@ def drive(trial: p.Trial, route: Route, policy: str = "", endurance: bool = Fals
         "falls": 0,
         "interventions": 0,
         "time": 0.0,
-        "limit": REPETITIONS if endurance else MOST,
+        "limit": ENDURANCE_REPETITIONS if endurance else MOST_TRAVERSES,
     }
     if route.error:
         return record
@@ -65,7 +65,7 @@ def drive(trial: p.Trial, route: Route, policy: str = "", endurance: bool = Fals
                 break
         result = follow(driver, tracker_of(trial), leg)
         clock += sim.time - before
-        if not endurance and clock > 60.0 * MINUTES:
+        if not endurance and clock > 60.0 * CHALLENGE_MINUTES:
             break
         record["time"] = clock
         standing = result["success"]

@@ -12,7 +12,7 @@ import numpy as np
 from planning.tracking import TrackerConfig
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
-QUERIES = 10
+QUERY_COUNT = 10
 """Start-goal pairs per scene: those of the results in `docs/measurements/evaluation.md`."""
 MOST_QUERIES = 40
 """Pairs that each scene has, for studies that resolve smaller differences."""
@@ -36,36 +36,36 @@ METHODS = (*SHARED, *OWN, *BASELINES, *PERCEIVED)
 COLLIDERS = ("all", "vendor")
 """`all`: ours; `vendor`: without wheel-motor housings, as in the vendor's model."""
 
-SPEED = 0.50
+COMMANDED_SPEED = 0.50
 """Commanded [m/s]."""
-TRACKER = TrackerConfig(max_speed=SPEED, max_cross_track=100.0)
+TRACKER = TrackerConfig(max_speed=COMMANDED_SPEED, max_cross_track=100.0)
 """Frozen for all methods; it gets no slope."""
-FRICTION = (0.6, 1.0)
+WHEEL_FRICTION = (0.6, 1.0)
 """Drawn uniformly, of the wheels."""
-JITTER = (0.05, np.radians(5.0))
+START_JITTER = (0.05, np.radians(5.0))
 """Largest offset of the start along x and y [m] and in yaw [rad], drawn uniformly."""
-APRON = 1.0
+APRON_WIDTH = 1.0
 """Level ground around a scene [m]."""
-SETTLE = 3.0
+SETTLE_TIME = 3.0
 """Under zero velocity before the drive [s]."""
 WHEELS_NEEDED = 3
-TILT = dict.fromkeys(SCENES, (20.0, 20.0)) | {"rescue_elevated": (35.0, 45.0)}
+SETTLED_TILT = dict.fromkeys(SCENES, (20.0, 20.0)) | {"rescue_elevated": (35.0, 45.0)}
 """Largest |roll| and |pitch| after settling [deg]."""
-ARRIVED = 0.25
+GOAL_RADIUS = 0.25
 """From the goal [m]."""
-BUDGET = 90.0
+TIME_BUDGET = 90.0
 """[s]"""
 STRICT_SPEED, STRICT_TIME = 0.1, 0.5
-"""The stricter arrival: this slow [m/s] for this long [s] within `ARRIVED`."""
+"""The stricter arrival: this slow [m/s] for this long [s] within `GOAL_RADIUS`."""
 STRICT_WAIT = 5.0
 """How long after arriving the stricter arrival is waited for [s]."""
-WINDOW = 20.0
+DIAGNOSTIC_TIME = 20.0
 """Diagnostics are over this time from the start of the drive [s], or until arrival; no trial is ended before it."""
-FALLEN, FALLEN_TIME = 60.0, 4.0
+FALLEN_TILT, FALLEN_TIME = 60.0, 4.0
 """Tilt [deg] and how long [s]."""
-STALLED = 20.0
+STALLED_TIME = 20.0
 """Without 5 cm of progress or 2 cm nearer to the goal [s]."""
-FACE = 0.30
+FACE_RISE = 0.30
 """A rise of the true ground within 4 cm along a route's centre line that counts as a wall [m]."""
 
 
@@ -92,7 +92,7 @@ def trials(
     colliders: list[str],
     scenes: list[str],
     draws: int,
-    queries: int = QUERIES,
+    queries: int = QUERY_COUNT,
 ) -> list[Trial]:
     """All trials, ordered so that a study cut short is complete in its first draws."""
     return [
@@ -109,8 +109,8 @@ def trials(
 def conditions(trial: Trial) -> dict[str, Any]:
     """Friction and start offset of a trial: the same for all methods, controllers and collider sets."""
     rng = np.random.default_rng([SCENES.index(trial.scene), trial.query, trial.draw, 77])
-    friction = float(rng.uniform(*FRICTION))
-    dx, dy, dyaw = (rng.uniform(-1.0, 1.0, 3) * (JITTER[0], JITTER[0], JITTER[1])).tolist()
+    friction = float(rng.uniform(*WHEEL_FRICTION))
+    dx, dy, dyaw = (rng.uniform(-1.0, 1.0, 3) * (START_JITTER[0], START_JITTER[0], START_JITTER[1])).tolist()
     return {"friction": friction, "dx": dx, "dy": dy, "dyaw": dyaw}
 
 

@@ -22,7 +22,7 @@ from planning.search import DriveRules, Plan, PlanRequest, plan
 from planning.search.door import planner_of
 from planning.search.endpoints import snapped
 from rbtrg_robot.stage_config import GraphConfig, PlannerConfig
-from tools.bench.closed_loop.protocol import BASELINES, FACE, SHARED, SPEED
+from tools.bench.closed_loop.protocol import BASELINES, COMMANDED_SPEED, FACE_RISE, SHARED
 from tools.bench.static.study import survey_grid
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Route:
     line: list[list[float]] = field(default_factory=list)
     """x, y [m] of the line driven; its last point is the goal that counts."""
     speed: list[float] = field(default_factory=list)
-    """[m/s] per point; empty: `SPEED` everywhere."""
+    """[m/s] per point; empty: `COMMANDED_SPEED` everywhere."""
     least: list[float] = field(default_factory=list)
     """[m/s] per point, slowest speed that passes the ground there; empty: any."""
     yaw: list[float] = field(default_factory=list)
@@ -52,7 +52,7 @@ class Route:
     length: float = 0.0
     """Of the line [m]."""
     wall: bool = False
-    """The line crosses a face higher than `FACE`."""
+    """The line crosses a face higher than `FACE_RISE`."""
     transitions: list[dict[str, float]] = field(default_factory=list)
     """Length, risk, body, unknown, cost of each edge."""
 
@@ -121,10 +121,10 @@ def _as_it_drives(name: str, query: int, controller: str) -> Route:
     robot = describe().capabilities(controller)
     params = GraphConfig().params(robot, controller)
     limits = PathLimits(
-        max_speed=SPEED,
+        max_speed=COMMANDED_SPEED,
         max_step=params.max_step,
         max_slope=params.max_slope,
-        step_speed=min(robot.step_vx, SPEED),
+        step_speed=min(robot.step_vx, COMMANDED_SPEED),
     )
     rules = DriveRules(PlannerConfig().backward, PlannerConfig().turning, straight=True)
     try:
@@ -172,9 +172,9 @@ def through_file(graph: TraversalGraph) -> TraversalGraph:
 
 
 def crosses_wall(scene: Scene, line: Array) -> bool:
-    """Whether the true ground under the line (n, 2) rises or falls by more than `FACE` within 4 cm."""
+    """Whether the true ground under the line (n, 2) rises or falls by more than `FACE_RISE` within 4 cm."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     at = np.arange(0.0, s[-1], 0.01)
     x, y = np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])
     z = np.array([scene.z(px, py) for px, py in zip(x.tolist(), y.tolist(), strict=True)])
-    return bool((np.abs(z[4:] - z[:-4]) > FACE).any())
+    return bool((np.abs(z[4:] - z[:-4]) > FACE_RISE).any())

@@ -25,13 +25,13 @@ from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.wire.convert import yaw_of
 from tools.bench.closed_loop import protocol as p
 from tools.bench.closed_loop.routes import Route, scene_of
-from tools.bench.closed_loop.trial import EVERY, Watch, attitude, heading
+from tools.bench.closed_loop.trial import TRACK_EVERY, Watch, attitude, heading
 
 WITHOUT = tuple(p.name for p in PROCESSES if p.hosted and p.name != "odometry")
 """Processes that are not needed to see where odometry begins."""
-SETTLING = 15.0
+SETTLING_TIME = 15.0
 """So long the robot may take to stand [s]."""
-AFTER = 1.5
+WATCHED_AFTER = 1.5
 """The stack ends a goal at the first sign of a fall: how long the robot is watched then [s]."""
 
 
@@ -44,7 +44,7 @@ def files(scene: str) -> tuple[str, str]:
     """A scene with its apron and its survey as a prior map, as files written once per process."""
     ground, survey = (Path(_folder().name) / f"{scene}{ending}.npz" for ending in ("", "_survey"))
     if not survey.exists():
-        truth = scene_of(scene).with_apron(p.APRON)
+        truth = scene_of(scene).with_apron(p.APRON_WIDTH)
         assert truth.survey is not None
         save_scene(replace(truth, survey=None), ground)
         np.savez(survey, height=truth.survey, resolution=truth.resolution, origin=truth.origin)
@@ -85,7 +85,7 @@ def stands(config: StackConfig, placed: Pose) -> Pose:
     its stance."""
     with Lockstep(config.model_copy(update={"without": WITHOUT})) as stack:
         try:
-            stack.run_until(lambda: t.ODOM in stack.newest, SETTLING, "odometry")
+            stack.run_until(lambda: t.ODOM in stack.newest, SETTLING_TIME, "odometry")
         except LockstepTimeout:
             return placed
         truth, odom = stack.newest[t.TRUTH].pose.pose, stack.newest[t.ODOM].pose.pose
@@ -105,7 +105,7 @@ def _follow(stack: Lockstep, goal: tuple[float, float]) -> dict[str, Any]:
     x, y, _ = sim.position.tolist()
     watch = Watch(sim, np.array([[x, y], goal]))
     begin = stack.seconds
-    stack.send_goal(*goal, timeout=p.BUDGET)
+    stack.send_goal(*goal, timeout=p.TIME_BUDGET)
     arrived = strict = slow_since = ended = None
     routed, length = False, 0.0
     while True:
@@ -122,9 +122,9 @@ def _follow(stack: Lockstep, goal: tuple[float, float]) -> dict[str, Any]:
             routed |= status.state == GoalState.MOVING
             if GoalState(status.state).terminal and ended is None:
                 ended = now
-        if arrived is None and away < p.ARRIVED and tilt < p.FALLEN and now <= p.BUDGET:
+        if arrived is None and away < p.GOAL_RADIUS and tilt < p.FALLEN_TILT and now <= p.TIME_BUDGET:
             arrived = now
-        slow = away < p.ARRIVED and math.hypot(*sim.linear_velocity[:2]) <= p.STRICT_SPEED
+        slow = away < p.GOAL_RADIUS and math.hypot(*sim.linear_velocity[:2]) <= p.STRICT_SPEED
         slow_since = (slow_since if slow_since is not None else now) if slow else None
         if arrived is not None:
             if slow_since is not None and now - slow_since >= p.STRICT_TIME:
@@ -132,13 +132,13 @@ def _follow(stack: Lockstep, goal: tuple[float, float]) -> dict[str, Any]:
             if strict is not None or now - arrived >= p.STRICT_WAIT:
                 end = "arrived"
                 break
-        elif sim.diverged or now >= p.BUDGET:
+        elif sim.diverged or now >= p.TIME_BUDGET:
             end = "diverged" if sim.diverged else "timeout"
             break
-        elif status is not None and ended is not None and now - ended >= AFTER:
+        elif status is not None and ended is not None and now - ended >= WATCHED_AFTER:
             end = f"{status.state} {status.reason}".strip()
             break
-        for _ in range(EVERY):
+        for _ in range(TRACK_EVERY):
             stack.step()
     told = {k: getattr(status, k) for k in ("state", "reason", "detail", "replans", "recoveries")}
     return {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-RESAMPLES = 10_000
+RESAMPLE_COUNT = 10_000
 Record = dict[str, Any]
 Value = Callable[[Record], float]
 Array = NDArray[np.float64]
@@ -52,13 +52,13 @@ def sums(
 
 
 def resampled(scenes: dict[str, Array], seed: int = 0) -> Array:
-    """(RESAMPLES,) ratio of summed values to summed numbers; queries are drawn within their scene, the same for the
-    same seed."""
+    """(RESAMPLE_COUNT,) ratio of summed values to summed numbers; queries are drawn within their scene, the same for
+    the same seed."""
     rng = np.random.default_rng(seed)
-    total = np.zeros((RESAMPLES, 2))
+    total = np.zeros((RESAMPLE_COUNT, 2))
     for scene in sorted(scenes):
         cells = scenes[scene]
-        total += cells[rng.integers(0, len(cells), (RESAMPLES, len(cells)))].sum(axis=1)
+        total += cells[rng.integers(0, len(cells), (RESAMPLE_COUNT, len(cells)))].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(total[:, 0] / total[:, 1])
 

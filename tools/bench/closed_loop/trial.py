@@ -23,14 +23,14 @@ from planning.tracking import PathTracker, TrackerConfig, TrackPhase
 from tools.bench.closed_loop import protocol as p
 from tools.bench.closed_loop.routes import Route, scene_of
 
-EVERY = 4
+TRACK_EVERY = 4
 """Physics steps of 5 ms per step of the tracker."""
-TRACE = 10
+TRACE_EVERY = 10
 """Looks per line of the trace: 5 Hz."""
 WHEEL = PARTS.index("wheel")
-DROP, DROP_TIME = 0.30, 0.5
+DROP_HEIGHT, DROP_TIME = 0.30, 0.5
 """The trunk lost so much height [m] in so little time [s]: more than falling over makes."""
-STEEP = 0.5
+STEEP_NORMAL = 0.5
 """Vertical part of a contact's normal below which it is on a face."""
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ See = Callable[[float, Simulation], None]
 @lru_cache(maxsize=8)
 def simulation(scene: str, colliders: str) -> Simulation:
     """The robot on a scene with its apron; compiled once, every trial resets all of it."""
-    ground = scene_of(scene).with_apron(p.APRON)
+    ground = scene_of(scene).with_apron(p.APRON_WIDTH)
     return Simulation(ground.height, ground.resolution, ground.origin, housings=colliders == "all")
 
 
@@ -93,7 +93,7 @@ def place(driver: Driver, route: Route, scene: str, given: dict[str, float]) -> 
     sim.reset(line[0, 0] + given["dx"], line[0, 1] + given["dy"], yaw, q=go2w.STAND, settle=0.0)
     lift = sim.lift_clear()
     driver.restart()
-    driver.settle(p.SETTLE)
+    driver.settle(p.SETTLE_TIME)
     roll, pitch, _ = attitude(sim)
     contacts = sim.contacts()
     wheels = len({body for body in contacts.bodies if body.endswith("wheel")})
@@ -101,7 +101,7 @@ def place(driver: Driver, route: Route, scene: str, given: dict[str, float]) -> 
     if wheels < p.WHEELS_NEEDED:
         why.append("wheels")
     why += [f"touch {part}" for k, part in enumerate(PARTS) if k != WHEEL and (contacts.parts == k).any()]
-    if abs(roll) > p.TILT[scene][0] or abs(pitch) > p.TILT[scene][1]:
+    if abs(roll) > p.SETTLED_TILT[scene][0] or abs(pitch) > p.SETTLED_TILT[scene][1]:
         why.append("tilt")
     if sim.diverged:
         why.append("diverged")
@@ -111,7 +111,7 @@ def place(driver: Driver, route: Route, scene: str, given: dict[str, float]) -> 
 def follow(driver: Driver, tracker: PathTracker, route: Route, see: See | None = None) -> dict[str, Any]:
     """Drive the line; how it ended and what the simulator saw."""
     sim, line = driver.simulation, np.array(route.line)
-    tracker.set_path(line, route.yaw or None, route.speed or p.SPEED, least=route.least or 0.0)
+    tracker.set_path(line, route.yaw or None, route.speed or p.COMMANDED_SPEED, least=route.least or 0.0)
     watch = Watch(sim, line)
     begin = sim.time
     arrived = strict = slow_since = fallen_since = None
@@ -135,33 +135,33 @@ def follow(driver: Driver, tracker: PathTracker, route: Route, see: See | None =
             progress, progress_at = out.progress, t
         if away < nearest - 0.02:
             nearest, nearest_at = away, t
-        upright = tilt < p.FALLEN
-        if arrived is None and away < p.ARRIVED and upright:
+        upright = tilt < p.FALLEN_TILT
+        if arrived is None and away < p.GOAL_RADIUS and upright:
             arrived = t
-        slow = away < p.ARRIVED and math.hypot(*sim.linear_velocity[:2]) <= p.STRICT_SPEED
+        slow = away < p.GOAL_RADIUS and math.hypot(*sim.linear_velocity[:2]) <= p.STRICT_SPEED
         slow_since = (slow_since if slow_since is not None else t) if slow else None
         if arrived is not None:
             if slow_since is not None and t - slow_since >= p.STRICT_TIME:
                 strict = t
-            if strict is not None or t - arrived >= p.STRICT_WAIT or t >= p.BUDGET or not upright:
+            if strict is not None or t - arrived >= p.STRICT_WAIT or t >= p.TIME_BUDGET or not upright:
                 end = "arrived"
                 break
-        elif t >= p.BUDGET:
+        elif t >= p.TIME_BUDGET:
             end = "timeout"
             break
         elif not _inside(x, y, *ground):
             end = "left the terrain"
             break
         fallen_since = None if upright else (fallen_since if fallen_since is not None else t)
-        if arrived is None and t >= p.WINDOW:
+        if arrived is None and t >= p.DIAGNOSTIC_TIME:
             if fallen_since is not None and t - fallen_since >= p.FALLEN_TIME:
                 end = "fall"
                 break
             done = out.phase is TrackPhase.DONE
-            if done or (t - progress_at > p.STALLED and t - nearest_at > p.STALLED):
+            if done or (t - progress_at > p.STALLED_TIME and t - nearest_at > p.STALLED_TIME):
                 end = "stalled"
                 break
-        for _ in range(EVERY):
+        for _ in range(TRACK_EVERY):
             driver.step(out.vx, out.wz)
     return {
         "success": arrived is not None,
@@ -213,11 +213,11 @@ class Watch:
         force = sim.part_forces()
         self._worst = max(self._worst, tilt)
         self._heights.append(z)
-        self._dropped |= max(self._heights) - z > DROP
+        self._dropped |= max(self._heights) - z > DROP_HEIGHT
         self._faces.append((self._at_wall(), bool((force[:WHEEL] > 0.0).any())))
-        if t <= p.WINDOW:
+        if t <= p.DIAGNOSTIC_TIME:
             self._rows.append((x, y, abs(roll), abs(pitch), *(force > 0.0), self._slip()))
-        if len(self._trace) * TRACE * 0.02 <= t + 1e-9:
+        if len(self._trace) * TRACE_EVERY * 0.02 <= t + 1e-9:
             self._trace.append([round(v, 2) for v in (t, x, y, z, sim.yaw, roll, pitch, vx)])
 
     def _slip(self) -> float:
@@ -233,22 +233,22 @@ class Watch:
         """A part touches a steep place where the ground rises by more than a wall's height within 6 cm."""
         sim = self._sim
         contacts = sim.contacts()
-        steep = (np.abs(contacts.normals[:, 2]) < STEEP) & (contacts.forces > 0.0)
+        steep = (np.abs(contacts.normals[:, 2]) < STEEP_NORMAL) & (contacts.forces > 0.0)
         for x, y, _ in contacts.places[steep].tolist():
             c, r = (
                 round((x - sim.origin[0]) / sim.resolution),
                 round((y - sim.origin[1]) / sim.resolution),
             )
             around = sim.height[max(r - 3, 0) : r + 4, max(c - 3, 0) : c + 4]
-            if around.size and float(around.max() - around.min()) > p.FACE:
+            if around.size and float(around.max() - around.min()) > p.FACE_RISE:
                 return True
         return False
 
     def cause(self, end: str, tilt: float) -> str:
         """Why the robot did not arrive: off an edge, fall, against a wall, wedged, stuck, timeout, or `end` itself."""
-        if self._dropped and self._worst > p.FALLEN:
+        if self._dropped and self._worst > p.FALLEN_TILT:
             return "off an edge"
-        if end == "fall" or tilt > p.FALLEN:
+        if end == "fall" or tilt > p.FALLEN_TILT:
             return "fall"
         if end not in ("stalled", "timeout"):
             return end

@@ -44,7 +44,7 @@ VIDEO_CPU = 15.0
 """[% of a core] that video may cost: pictures drawn, and handed to one page. The page's own share is not measured."""
 VIDEO_STOP = 0.15
 """[s] as STOP_LIMIT, beside video and a replay."""
-FRAMES = 10
+FRAME_COUNT = 10
 """Pictures that are drawn for their cost."""
 STALE_LIMIT = 1.0
 """[s]"""
@@ -226,12 +226,12 @@ def _drawn() -> float:
     source = RenderedCamera(camera, config.load_scene())
     source.open()
     try:
-        for k in range(FRAMES + 1):
+        for k in range(FRAME_COUNT + 1):
             if k == 1:  # the first one loads what it needs
                 began = time.process_time()
             source.follow(k + 1, np.array([-4.5 + 0.1 * k, -4.5, 0.4]), np.array([0.0, 0.0, 0.0, 1.0]))
             source.frame(k + 1)
-        return 100.0 * camera.rate * (time.process_time() - began) / FRAMES
+        return 100.0 * camera.rate * (time.process_time() - began) / FRAME_COUNT
     finally:
         source.close()
 

@@ -41,9 +41,9 @@ from rbtrg_robot.wire.convert import (
 from rbtrg_robot.wire.messages import header, stamp_of
 from tools.bench.ports import free_port
 
-PACE = 0.05
+PACE_LENGTH = 0.05
 """[m] that the robot drives between two words."""
-PERIOD = 0.1
+WORD_PERIOD = 0.1
 """[s]"""
 
 
@@ -124,7 +124,7 @@ class Robot:
             self.x = self.y = self.yaw = 0.0
             self.deaf = self.frozen = False
             """It hears no stop; it says nothing."""
-            self.pace = PACE
+            self.pace = PACE_LENGTH
             """[m] from word to word."""
             self.latch = 0
             self.cause = ""
@@ -161,7 +161,7 @@ class Robot:
                         self._do(self.mission.on(received.topic, received.decode()))
                 self.heard.set()
             if time.monotonic() >= due:
-                due = time.monotonic() + PERIOD
+                due = time.monotonic() + WORD_PERIOD
                 with self.lock:
                     if not self.frozen:
                         self._say()

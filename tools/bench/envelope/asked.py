@@ -114,19 +114,19 @@ STOPS = {
 """Speed [m/s], yaw rate [rad/s], slope down [deg], friction of each stop."""
 STOP_LIMIT = 0.26
 """[s] from zero command to rest."""
-BARS = (2, 4, 6, 8, 10)
+BAR_HEIGHTS = (2, 4, 6, 8, 10)
 """Heights [cm] of the bar under the turning robot; of the 18 trials each no more than one may end in a fall."""
 CURVED_BARS = (3, 5, 10)
 """The same for turning there and driving off in a curve."""
-SLOW = (0.12, 0.15, 0.22, 0.3)
+SLOW_SPEEDS = (0.12, 0.15, 0.22, 0.3)
 """Speeds [m/s] at which paths over difficult ground are followed..."""
 SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_5", "rough_4", "rough_6")
 """... and the courses that must be passed at them as well."""
-OBLIQUE = (5, 10, 15, 20, 25)
-"""Heights [cm] of faces and bars, as far as the controller's capabilities go, met at `ANGLES`."""
-BACK = (5, 10, 12, 15, 20)
+OBLIQUE_HEIGHTS = (5, 10, 15, 20, 25)
+"""Heights [cm] of faces and bars, as far as the controller's capabilities go, met at `FACE_ANGLES`."""
+BACKWARD_HEIGHTS = (5, 10, 12, 15, 20)
 """Heights of bars and steps that are driven over backward [cm]."""
-POSTS = (4, 5, 7, 10, 12, 15, 20)
+POST_HEIGHTS = (4, 5, 7, 10, 12, 15, 20)
 """Heights [cm] of the highest posts of a stepfield, from half of the controller's capabilities to twice of them..."""
 POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
 """... and speeds [m/s] at which it is driven through."""

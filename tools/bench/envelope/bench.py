@@ -33,20 +33,20 @@ from hal.mujoco.mjcf import Foreign
 from hal.mujoco.robot import Simulated
 from hal.robots import DEFAULT, describe
 from tools.bench.envelope.asked import (
-    BACK,
-    BARS,
+    BACKWARD_HEIGHTS,
+    BAR_HEIGHTS,
     CHANGES,
     CURVED_BARS,
     LEAST,
     NO_FALL,
-    OBLIQUE,
-    POSTS,
+    OBLIQUE_HEIGHTS,
+    POST_HEIGHTS,
     POSTS_SPEEDS,
     REFERENCE,
     REFERENCE_MESH,
     ROBUST_COURSES,
-    SLOW,
     SLOW_COURSES,
+    SLOW_SPEEDS,
     STOP_LIMIT,
     STOPS,
     TUNED_ON,
@@ -56,13 +56,13 @@ from tools.bench.envelope.backward import TRIALS, passes_backward
 from tools.bench.envelope.campaign import assumed, measure
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
-from tools.bench.envelope.lane import LANES, through_lane
-from tools.bench.envelope.lane import WAYS as LANE_WAYS
+from tools.bench.envelope.lane import LANE_SEEDS, through_lane
+from tools.bench.envelope.lane import WEAVE_WAYS as LANE_WAYS
 from tools.bench.envelope.picture import draw
 from tools.bench.envelope.response import along, turning, turning_while_driving
-from tools.bench.envelope.terrain import ANGLES
-from tools.bench.envelope.trial import DT, RUNS, Conditions, drive
-from tools.bench.envelope.turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
+from tools.bench.envelope.terrain import FACE_ANGLES
+from tools.bench.envelope.trial import RUNS, TIME_STEP, Conditions, drive
+from tools.bench.envelope.turning import CURVE_COMMANDS, CURVING_TIME, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
 
 
@@ -109,7 +109,7 @@ def run(args: list[str]) -> Report:
         envelope = assumed(stored(f"{robot.name}/{measured}"))
         envelope.write(options.file or robot.envelope_file(SPORT))
         return counted(envelope)
-    controller: Locomotion = robot.model().controller(options.controller, options.policy, DT)
+    controller: Locomotion = robot.model().controller(options.controller, options.policy, TIME_STEP)
     foreign = Foreign(options.model, robot.model()) if options.model else None
     if robot.name != DEFAULT and not options.write:
         parser.error(f"courses are those of {DEFAULT}: with {robot.name} use --write")
@@ -253,7 +253,7 @@ class _Bench:
                 drive(self.controller, course, k, late).tipped for course in NO_FALL for k in range(3)
             )
             add(f"falls.{name}.delay_20", falls, f"of {3 * len(NO_FALL)}", self._least(0.0))
-        for speed in SLOW:
+        for speed in SLOW_SPEEDS:
             if f"slow.{name}.{speed}".startswith(self.only):
                 successes = sum(self._passed(course, Conditions(speed=speed)) for course in SLOW_COURSES)
                 of = f"of {len(RUNS) * len(SLOW_COURSES)}"
@@ -263,21 +263,21 @@ class _Bench:
         """Faces and bars at an angle, stepfields at several speeds, and bars and steps backward."""
         name, add = self.name, self.report.add
         for kind in ("face", "bar"):
-            for height in OBLIQUE:
+            for height in OBLIQUE_HEIGHTS:
                 if height <= 100.0 * describe().capabilities(name).max_step and self._wanted(
                     f"oblique_{kind}_{height}"
                 ):
-                    passed = [self._passed(f"{kind}{angle}_{height}") == len(RUNS) for angle in ANGLES]
-                    first = passed.index(False) if False in passed else len(ANGLES)
-                    add(f"oblique_{kind}_{height}.{name}", ANGLES[first - 1] if first else -1, "deg")
+                    passed = [self._passed(f"{kind}{angle}_{height}") == len(RUNS) for angle in FACE_ANGLES]
+                    first = passed.index(False) if False in passed else len(FACE_ANGLES)
+                    add(f"oblique_{kind}_{height}.{name}", FACE_ANGLES[first - 1] if first else -1, "deg")
         most = 100.0 * describe().capabilities(name).max_posts
-        for height in (h for h in POSTS if 0.5 * most <= h <= 2.0 * most):
+        for height in (h for h in POST_HEIGHTS if 0.5 * most <= h <= 2.0 * most):
             for speed in POSTS_SPEEDS:
                 if self._wanted(f"posts_{height}_{speed}"):
                     successes = self._passed(f"posts_{height}", Conditions(speed=speed))
                     add(f"posts_{height}_{speed}.{name}", successes, f"of {len(RUNS)}")
         for kind in ("bar", "step"):
-            for height in BACK:
+            for height in BACKWARD_HEIGHTS:
                 if height <= 100.0 * describe().capabilities(name).max_step and self._wanted(
                     f"back_{kind}_{height}"
                 ):
@@ -293,7 +293,7 @@ class _Bench:
             if self._wanted(f"lane_{kind}"):
                 ends = [
                     through_lane(self.controller, seed, kind, way, name)
-                    for seed in LANES
+                    for seed in LANE_SEEDS
                     for way in LANE_WAYS
                 ]
                 passed = sum(end.passed for end in ends)
@@ -311,7 +311,7 @@ class _Bench:
                 held = sum(creep_to_edge(controller, *trial) for trial in trials)
                 least = self._least(len(trials)) if way != "at_0.2" else None
                 add(f"cliff_{way}.{name}", held, f"held of {len(trials)}", least, at_least=True)
-        for height in BARS:
+        for height in BAR_HEIGHTS:
             if self._wanted(f"turn_bar_{height}"):
                 ends = [turn_on_bar(controller, height / 100.0, *place) for place in PLACES]
                 tipped = sum(when in ("arriving", "turning") for when, _ in ends)
@@ -323,8 +323,8 @@ class _Bench:
         for height in CURVED_BARS:
             if self._wanted(f"curve_bar_{height}"):
                 ends = [
-                    turn_on_bar(controller, height / 100.0, *place, turning=CURVING, off=off)
-                    for off in CURVES
+                    turn_on_bar(controller, height / 100.0, *place, turning=CURVING_TIME, off=off)
+                    for off in CURVE_COMMANDS
                     for place in PLACES
                 ]
                 falls = sum(when != "" for when, _ in ends)

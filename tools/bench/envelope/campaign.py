@@ -80,11 +80,11 @@ GRID: dict[str, tuple[Per, tuple[Axis, ...], int]] = {
 
 KEEP_EVERY = 30.0
 """The file is written after so many seconds."""
-ELSEWHERE = 0.02
+SURE_WORTH = 0.02
 """How much a trial is worth where the model is sure, against where it is least sure: models err, too."""
 ON_SLOPES = 0.3
 """How much a trial at a face on a slope is worth, against one on level ground: most faces stand there."""
-FOLDS = 5
+FOLD_COUNT = 5
 """Shares of the trials that are left out of the fit in turn, to tell how well it predicts."""
 
 
@@ -138,7 +138,7 @@ class Tally:
         if (mean <= MAX_RISK).any():
             worth *= mean <= MAX_RISK
         some = self.parts.sum(-1) > 0.0
-        flat = (worth + ELSEWHERE * worth.max() * some).ravel()
+        flat = (worth + SURE_WORTH * worth.max() * some).ravel()
         if not flat.sum() > 0.0:  # the bound is the mean everywhere
             flat = some.ravel().astype(np.float64)
         flat /= flat.sum()
@@ -175,14 +175,14 @@ def log_losses(tally: Tally) -> tuple[float | None, float | None]:
     tried = tally.counts[..., 0] > 0
     parts, trials = tally.parts[tried], tally.counts[tried][:, 0]
     failures = tally.counts[tried][:, 1:].sum(1)
-    if trials.sum() < 2 * FOLDS:
+    if trials.sum() < 2 * FOLD_COUNT:
         return None, None
     rng = np.random.default_rng(0)
     outcome = np.concatenate([np.arange(n) < k for n, k in zip(trials, failures, strict=True)])
     cell = np.repeat(np.arange(len(trials)), trials)
-    fold = rng.permutation(len(cell)) % FOLDS
+    fold = rng.permutation(len(cell)) % FOLD_COUNT
     loss = blind = 0.0
-    for f in range(FOLDS):
+    for f in range(FOLD_COUNT):
         kept, out = fold != f, fold == f
         n = np.bincount(cell[kept], minlength=len(trials))
         k = np.bincount(cell[kept & outcome], minlength=len(trials))

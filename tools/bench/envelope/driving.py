@@ -12,13 +12,13 @@ from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
 from planning.tracking.tracker import PathTracker, TrackerConfig, TrackPhase
-from tools.bench.envelope.terrain import RESOLUTION, course, rolling_ground
-from tools.bench.envelope.trial import DT, TIPPED
+from tools.bench.envelope.terrain import CELL_SIDE, course, rolling_ground
+from tools.bench.envelope.trial import TIME_STEP, TIPPED_COSINE
 
-SPEED = 0.5
+DRIVE_SPEED = 0.5
 """[m/s]"""
 TRACK_EVERY = 4
-"""Ticks of `DT` per step of the tracker: 50 Hz."""
+"""Ticks of `TIME_STEP` per step of the tracker: 50 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +41,21 @@ def eight(size: float = 3.0, n: int = 900) -> np.ndarray:
 def figure_eight(controller: Locomotion) -> Ride:
     """Follow the eight over rolling ground at 0.5 m/s with the project's tracker on the true pose."""
     height, origin = rolling_ground()
-    sim = Simulation(height, RESOLUTION, origin, timestep=DT)
+    sim = Simulation(height, CELL_SIDE, origin, timestep=TIME_STEP)
     points = eight()
     direction = points[1] - points[0]
     sim.reset(0.0, 0.0, float(np.arctan2(direction[1], direction[0])))
     driver = Driver(sim, controller)
-    tracker = PathTracker(TrackerConfig(max_speed=SPEED))
-    tracker.set_path(points, None, SPEED)
+    tracker = PathTracker(TrackerConfig(max_speed=DRIVE_SPEED))
+    tracker.set_path(points, None, DRIVE_SPEED)
     command = 0.0, 0.0
     errors: list[float] = []
     wanted: list[float] = []
     got: list[float] = []
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    for tick in range(round(3.0 * length / SPEED / DT)):
+    for tick in range(round(3.0 * length / DRIVE_SPEED / TIME_STEP)):
         rot = sim.rotation
-        if rot[2, 2] < TIPPED:
+        if rot[2, 2] < TIPPED_COSINE:
             break
         if tick % TRACK_EVERY == 0 and sim.time > 0.5:
             x, y, _ = sim.position
@@ -73,7 +73,7 @@ def figure_eight(controller: Locomotion) -> Ride:
         driver.step(*command)
     else:
         return Ride(np.inf, np.inf, np.nan)
-    if len(errors) < 100 or sim.rotation[2, 2] < TIPPED:
+    if len(errors) < 100 or sim.rotation[2, 2] < TIPPED_COSINE:
         return Ride(np.inf, np.inf, np.nan)
     k = 12
     mean_wanted, mean_got = (np.convolve(v, np.ones(k) / k, "valid")[::k] for v in (wanted, got))
@@ -90,12 +90,12 @@ def hold_on_slope(controller: Locomotion, degrees: int = 20, seconds: float = 30
     worst = 0.0
     for kind, x, y in (("ramp_up", 1.9, 0.0), ("cross_slope", 2.2, 0.0)):
         ground = course(f"{kind}_{degrees}")
-        sim = Simulation(ground.height, RESOLUTION, ground.origin, timestep=DT)
+        sim = Simulation(ground.height, CELL_SIDE, ground.origin, timestep=TIME_STEP)
         sim.reset(x, y)
         driver = Driver(sim, controller)
         driver.settle(2.0)
         start = sim.position
-        for tick in range(round(seconds / DT)):
+        for tick in range(round(seconds / TIME_STEP)):
             driver.step()
             if tick % 100 == 0:
                 worst = max(worst, float(np.linalg.norm(sim.position - start)))
@@ -110,9 +110,9 @@ def stopping_time(
     The robot drives at `speed` [m/s] along +x, downhill where `degrees` > 0, for the last second with `yaw_rate`
     [rad/s].
     """
-    axis = np.arange(round(10.0 / RESOLUTION)) * RESOLUTION - 5.0
+    axis = np.arange(round(10.0 / CELL_SIDE)) * CELL_SIDE - 5.0
     height = np.broadcast_to(-np.tan(np.radians(degrees)) * axis, (axis.size, axis.size)).astype(np.float32)
-    sim = Simulation(height, RESOLUTION, (-5.0, -5.0), friction=friction, timestep=DT)
+    sim = Simulation(height, CELL_SIDE, (-5.0, -5.0), friction=friction, timestep=TIME_STEP)
     sim.reset()
     driver = Driver(sim, controller)
     driven = 2.5
@@ -120,7 +120,7 @@ def stopping_time(
     while sim.time < driven + 1.5:
         wz = float(np.clip(-2.0 * sim.yaw, -0.8, 0.8)) if sim.time < driven - 1.0 else yaw_rate
         driver.step(*((speed, wz) if 0.4 < sim.time < driven else (0.0, 0.0)))
-        if sim.rotation[2, 2] < TIPPED:
+        if sim.rotation[2, 2] < TIPPED_COSINE:
             return np.inf
         if sim.time > driven and np.linalg.norm(sim.linear_velocity) >= 0.05:
             moving = sim.time - driven
@@ -134,19 +134,19 @@ def real_time_factor(controller: Locomotion, seconds: float = 6.0) -> tuple[floa
     The third figure is the processor time of one control tick [s], state and command included.
     """
     height, origin = rolling_ground()
-    sim = Simulation(height, RESOLUTION, origin, timestep=DT)
+    sim = Simulation(height, CELL_SIDE, origin, timestep=TIME_STEP)
     best, tick = [0.0, 0.0], np.inf
     for _ in range(3):
         sim.reset()
         controller.reset()
         physics = 0
         start = time.thread_time_ns()
-        for _ in range(round(seconds / DT)):
+        for _ in range(round(seconds / TIME_STEP)):
             sim.apply(controller.step(sim.low_state(), VelocityCommand(0, 0.4, 0.0, 0.3), PostureCommand(0)))
             before = time.thread_time_ns()
             sim.step()
             physics += time.thread_time_ns() - before
         total = time.thread_time_ns() - start
         best = [max(best[0], seconds * 1e9 / total), max(best[1], seconds * 1e9 / physics)]
-        tick = min(tick, 1e-9 * (total - physics) / round(seconds / DT))
+        tick = min(tick, 1e-9 * (total - physics) / round(seconds / TIME_STEP))
     return best[0], best[1], tick

@@ -17,16 +17,16 @@ from hal.mujoco.sim import Simulation
 from hal.scenes.lanes import lane
 from hal.types import Array
 from planning.tracking.tracker import PathTracker, TrackerConfig, TrackPhase
-from tools.bench.envelope.trial import DT, TIPPED
+from tools.bench.envelope.trial import TIME_STEP, TIPPED_COSINE
 
-LANES = tuple(range(100, 124, 4))
+LANE_SEEDS = tuple(range(100, 124, 4))
 """Seeds of lanes in the layout `single`, for work."""
-WAYS = ((0.4, 0.10, 1.0), (0.3, -0.08, 2.5))
+WEAVE_WAYS = ((0.4, 0.10, 1.0), (0.3, -0.08, 2.5))
 """Speed [m/s], and amplitude [m] and phase [rad] of a weave of 2.4 m, as a planned path weaves: headings to 0.26 rad
 off."""
 TRACK_EVERY = 4
-"""Ticks of `DT` per step of the tracker: 50 Hz."""
-STUCK = 5.0
+"""Ticks of `TIME_STEP` per step of the tracker: 50 Hz."""
+STUCK_AFTER = 5.0
 """Time [s] without progress that ends a drive."""
 
 
@@ -63,7 +63,7 @@ def through_lane(
     speed, amplitude, phase = way
     one = lane(seed, level=level, controller=envelope, map=kind)
     points = weaving(one.line, amplitude, phase)
-    sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin, timestep=DT)
+    sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin, timestep=TIME_STEP)
     (x, y), (dx, dy) = points[0], points[1] - points[0]
     sim.reset(float(x), float(y), float(np.arctan2(dy, dx)))
     driver = Driver(sim, controller)
@@ -72,13 +72,13 @@ def through_lane(
     tracker.set_path(points, None, speed)
     began = moved = sim.time
     place, furthest, tilt, v = sim.position, points[0, 0], 0.0, 0.0
-    while sim.time - moved < STUCK:
+    while sim.time - moved < STUCK_AFTER:
         rot = sim.rotation
         tilt = max(tilt, float(np.degrees(np.arccos(min(rot[2, 2], 1.0)))))
-        if rot[2, 2] < TIPPED:
+        if rot[2, 2] < TIPPED_COSINE:
             return Passage(False, True, sim.time - began, tilt)
         at, before = sim.position, place
-        v += 0.3 * (float((at - before) @ rot[:, 0]) / (TRACK_EVERY * DT) - v)
+        v += 0.3 * (float((at - before) @ rot[:, 0]) / (TRACK_EVERY * TIME_STEP) - v)
         out = tracker.step(round(sim.time * 1e9), at[0], at[1], sim.yaw, v, float(sim.low_state().gyro[2]))
         if out.phase is TrackPhase.DONE:
             return Passage(True, False, sim.time - began, tilt)

@@ -22,8 +22,8 @@ from hal.mujoco.driver import Driver
 from hal.mujoco.robot import Simulated
 from hal.mujoco.sim import Simulation
 from hal.rotation import wrap
-from tools.bench.envelope.terrain import RESOLUTION, posts
-from tools.bench.envelope.trial import DT, steering
+from tools.bench.envelope.terrain import CELL_SIDE, posts
+from tools.bench.envelope.trial import TIME_STEP, steering
 
 Field = NDArray[np.float64]
 
@@ -63,9 +63,9 @@ JUDGE_EVERY = 4
 """Physics steps between two looks of the judge."""
 HALF_LENGTH, HALF_WIDTH = 0.29, 0.23
 """Of the wheels' footprint of the largest robot [m]: axle to centre and wheel radius; track and half a wheel."""
-MARGIN = 0.6
+GROUND_MARGIN = 0.6
 """Ground beyond start and finish [m]."""
-BAR = 0.10
+BAR_WIDTH = 0.10
 """Width [m]."""
 
 Way = Literal["ahead", "back", "turn"]
@@ -132,10 +132,10 @@ class _Line:
         """`crab` after the step to here."""
         dx, dy = x - self.before[0], y - self.before[1]
         self.before = x, y
-        if math.hypot(dx, dy) > 0.2 * self.trial.speed * JUDGE_EVERY * DT:
+        if math.hypot(dx, dy) > 0.2 * self.trial.speed * JUDGE_EVERY * TIME_STEP:
             heading = yaw + math.pi if self.trial.way == "back" else yaw
             seen = float(np.clip(wrap(math.atan2(dy, dx) - heading), -MAX_CRAB, MAX_CRAB))
-            self.crab += JUDGE_EVERY * DT / CRAB_TIME * (seen - self.crab)
+            self.crab += JUDGE_EVERY * TIME_STEP / CRAB_TIME * (seen - self.crab)
         return self.crab
 
     def follow(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
@@ -166,7 +166,9 @@ def attempt(controller: Locomotion, trial: Trial, robot: Simulated | None = None
     """Drive a trial to its end, with a robot or the default one."""
     t = trial
     most_aside, most_off = (ROUGH_ASIDE, ROUGH_OFF) if t.rough else (MAX_ASIDE, MAX_OFF)
-    sim = Simulation(t.height, RESOLUTION, t.corner, t.friction, timestep=DT, payload=t.payload, robot=robot)
+    sim = Simulation(
+        t.height, CELL_SIDE, t.corner, t.friction, timestep=TIME_STEP, payload=t.payload, robot=robot
+    )
     sim.reset(*t.start, settle=0.3)
     driver = Driver(sim, controller)
     driver.settle(0.4)
@@ -212,7 +214,7 @@ Draw = dict[str, float]
 
 def _ground(x0: float, x1: float, half: float) -> tuple[Field, Field]:
     """x, y [m] of the cells from x0 to x1 and `half` to both sides."""
-    return np.meshgrid(np.arange(x0, x1, RESOLUTION), np.arange(-half, half + 1e-9, RESOLUTION))
+    return np.meshgrid(np.arange(x0, x1, CELL_SIDE), np.arange(-half, half + 1e-9, CELL_SIDE))
 
 
 def _tilted(x: Field, y: Field, slope: float, azimuth: float) -> tuple[Field, tuple[float, float, float]]:
@@ -269,7 +271,7 @@ def _crossing(values: Values, rng: np.random.Generator, up: bool, way: Way) -> T
     azimuth = float(rng.uniform(-math.pi, math.pi))
     reach = HALF_LENGTH + (HALF_WIDTH + 0.05) * abs(math.tan(angle))
     begin, finish = -reach - d["run_up"], reach + 0.15
-    x, y = _ground(begin - MARGIN, finish + MARGIN, 1.0)
+    x, y = _ground(begin - GROUND_MARGIN, finish + GROUND_MARGIN, 1.0)
     plane, normal = _tilted(x, y, slope, azimuth)
     beyond = x * math.cos(angle) + y * math.sin(angle) > 0.0
     z = plane + np.where(beyond == up, height, 0.0)
@@ -284,7 +286,7 @@ def _stairs(values: Values, rng: np.random.Generator, up: bool) -> Trial:
     steps, along = 4, tread / math.cos(angle)
     reach = HALF_LENGTH + (HALF_WIDTH + 0.05) * abs(math.tan(angle))
     begin, finish = -reach - d["run_up"], (steps - 1) * along + reach + 0.15
-    x, y = _ground(begin - MARGIN, finish + MARGIN, 1.0)
+    x, y = _ground(begin - GROUND_MARGIN, finish + GROUND_MARGIN, 1.0)
     beyond = x * math.cos(angle) + y * math.sin(angle)
     climbed = np.clip(np.floor(beyond / tread) + 1.0, 0.0, steps)
     z = riser * (climbed if up else steps - climbed)
@@ -298,7 +300,7 @@ def _slope(values: Values, rng: np.random.Generator) -> Trial:
     d = _draw(rng)
     twist = 0.8
     begin, on = -HALF_LENGTH - 0.1, twist + HALF_LENGTH
-    x, y = _ground(begin - MARGIN, on + 2.0 + MARGIN, 1.0)
+    x, y = _ground(begin - GROUND_MARGIN, on + 2.0 + GROUND_MARGIN, 1.0)
     direction *= rng.choice((-1.0, 1.0))
     _, normal = _tilted(x, y, steepness, direction)
     share = np.clip(x / twist, 0.0, 1.0)
@@ -312,7 +314,7 @@ def _posts(values: Values, rng: np.random.Generator) -> Trial:
     height, speed = values
     d = _draw(rng) | {"speed": speed}
     begin, length = -HALF_LENGTH - d["run_up"], 2.0
-    x, y = _ground(begin - MARGIN, length + HALF_LENGTH + MARGIN, 1.0)
+    x, y = _ground(begin - GROUND_MARGIN, length + HALF_LENGTH + GROUND_MARGIN, 1.0)
     thirds = posts(x, y, math.floor(x.max() / 0.12) + 1, rng)
     z = np.where(x < length, thirds * height / 3.0, 0.0)
     return _straight(
@@ -335,9 +337,9 @@ def _gap(values: Values, rng: np.random.Generator) -> Trial:
     d = _draw(rng)
     askew = float(rng.uniform(-0.2, 0.2))
     begin, finish = -HALF_LENGTH - 0.05 - d["run_up"], width + HALF_LENGTH + 0.25
-    x, y = _ground(begin - MARGIN, finish + MARGIN, 1.0)
+    x, y = _ground(begin - GROUND_MARGIN, finish + GROUND_MARGIN, 1.0)
     beyond = x * math.cos(askew) + y * math.sin(askew)
-    z = np.where((beyond > 0.0) & (beyond <= width - 0.5 * RESOLUTION), -0.5, 0.0)
+    z = np.where((beyond > 0.0) & (beyond <= width - 0.5 * CELL_SIDE), -0.5, 0.0)
     return _straight(x, y, z, (0.0, 0.0, 1.0), "ahead", begin, (begin,), finish, d)
 
 
@@ -357,7 +359,9 @@ def _turn(values: Values, rng: np.random.Generator, moving: bool) -> Trial:
         at = HALF_LENGTH * abs(c) + HALF_WIDTH * abs(s) + float(rng.uniform(0.02, 0.10))
     beyond = x * c + y * s - at
     kerb = bool(rng.random() < 0.5)
-    raised = beyond > 0.0 if kerb else np.abs(beyond - (0.0 if place > 0.5 else 0.5 * BAR)) < 0.5 * BAR
+    raised = (
+        beyond > 0.0 if kerb else np.abs(beyond - (0.0 if place > 0.5 else 0.5 * BAR_WIDTH)) < 0.5 * BAR_WIDTH
+    )
     if kerb and rng.random() < 0.25:
         raised = ~raised
     z = plane + np.where(raised, height, 0.0)

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-RESOLUTION = 0.02
-START = -0.9
+CELL_SIDE = 0.02
+START_X = -0.9
 """x of the first column [m]."""
 HALF_WIDTH = 1.2
-AT = 1.0
+OBSTACLE_X = 1.0
 """x at which the obstacle begins [m]."""
 OBLIQUE_AT = 1.6
 """x [m] at which a face that may lie across the way crosses its middle."""
-ANGLES = (0, 15, 30, 45, 60)
+FACE_ANGLES = (0, 15, 30, 45, 60)
 """Of faces and bars to the head-on way [deg]."""
 
 Field = NDArray[np.float64]
@@ -44,8 +44,8 @@ def _wave(s: Field, half: float) -> Field:
 
 
 def _ramp_up(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    end = AT + 2.0 * np.cos(np.radians(value))
-    return np.tan(np.radians(value)) * (np.clip(x, AT, end) - AT), end + 0.4
+    end = OBSTACLE_X + 2.0 * np.cos(np.radians(value))
+    return np.tan(np.radians(value)) * (np.clip(x, OBSTACLE_X, end) - OBSTACLE_X), end + 0.4
 
 
 def _ramp_down(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
@@ -55,20 +55,20 @@ def _ramp_down(x: Field, y: Field, value: float, seed: int) -> tuple[Field, floa
 
 def _cross_slope(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     """The ground twists from level to the side slope within 0.8 m."""
-    return np.tan(np.radians(value)) * y * np.clip((x - 0.4) / 0.8, 0.0, 1.0), AT + 2.4
+    return np.tan(np.radians(value)) * y * np.clip((x - 0.4) / 0.8, 0.0, 1.0), OBSTACLE_X + 2.4
 
 
 def _step_up(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    return np.where(x > AT, value / 100.0, 0.0), AT + 0.8
+    return np.where(x > OBSTACLE_X, value / 100.0, 0.0), OBSTACLE_X + 0.8
 
 
 def _step_down(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    return np.where(x > AT, 0.0, value / 100.0), AT + 0.8
+    return np.where(x > OBSTACLE_X, 0.0, value / 100.0), OBSTACLE_X + 0.8
 
 
 def _stairs_up(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    steps = np.clip(np.floor((x - AT) / 0.30) + 1.0, 0.0, 4.0)
-    return steps * value / 100.0, AT + 0.9 + 0.7
+    steps = np.clip(np.floor((x - OBSTACLE_X) / 0.30) + 1.0, 0.0, 4.0)
+    return steps * value / 100.0, OBSTACLE_X + 0.9 + 0.7
 
 
 def _stairs_down(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
@@ -77,34 +77,34 @@ def _stairs_down(x: Field, y: Field, value: float, seed: int) -> tuple[Field, fl
 
 
 def _gap(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    inside = (x > AT) & (x <= AT + value / 100.0 - 0.5 * RESOLUTION)
-    return np.where(inside, -0.5, 0.0), AT + 0.8
+    inside = (x > OBSTACLE_X) & (x <= OBSTACLE_X + value / 100.0 - 0.5 * CELL_SIDE)
+    return np.where(inside, -0.5, 0.0), OBSTACLE_X + 0.8
 
 
 def _crossing(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     """Half ramps of 0.6 m in two lanes; where the left lane rises, the right lane falls. No lane begins or ends with a
     face."""
     top = 0.6 * np.tan(np.radians(value))
-    left = np.where(x < AT + 2.4, _wave(x - AT, 0.6), 0.0)
-    right = np.where(x < AT + 3.0, _wave(x - AT - 0.6, 0.6), 0.0)
-    return np.where(y > 0.0, left, right) * top, AT + 3.4
+    left = np.where(x < OBSTACLE_X + 2.4, _wave(x - OBSTACLE_X, 0.6), 0.0)
+    right = np.where(x < OBSTACLE_X + 3.0, _wave(x - OBSTACLE_X - 0.6, 0.6), 0.0)
+    return np.where(y > 0.0, left, right) * top, OBSTACLE_X + 3.4
 
 
 def _pitch_roll(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     """Ridges across the way, then ridges at 45 degrees to it; flanks 0.6 m long."""
     top = 0.6 * np.tan(np.radians(value))
-    pitch = _wave(x - AT, 0.6)
-    diagonal = _wave((x - AT - 2.4 + y) / np.sqrt(2.0), 0.6)
-    z = np.where(x <= AT + 2.4, pitch, np.minimum(diagonal, (x - AT - 2.4) / 0.6))
-    return np.where(x > AT, z, 0.0) * top, AT + 4.8
+    pitch = _wave(x - OBSTACLE_X, 0.6)
+    diagonal = _wave((x - OBSTACLE_X - 2.4 + y) / np.sqrt(2.0), 0.6)
+    z = np.where(x <= OBSTACLE_X + 2.4, pitch, np.minimum(diagonal, (x - OBSTACLE_X - 2.4) / 0.6))
+    return np.where(x > OBSTACLE_X, z, 0.0) * top, OBSTACLE_X + 4.8
 
 
 def _krail(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     """Four rails, 0.10 m wide, at 45 degrees to the way, 0.6 m apart along it."""
     z = np.zeros_like(x)
     for k in range(4):
-        z = np.where(np.abs((x - AT - 0.6 - 0.6 * k + y) / np.sqrt(2.0)) <= 0.05, value / 100.0, z)
-    return z, AT + 0.6 * 4 + 0.8
+        z = np.where(np.abs((x - OBSTACLE_X - 0.6 - 0.6 * k + y) / np.sqrt(2.0)) <= 0.05, value / 100.0, z)
+    return z, OBSTACLE_X + 0.6 * 4 + 0.8
 
 
 def _face(angle: float) -> Callable[[Field, Field, float, int], tuple[Field, float]]:
@@ -135,13 +135,13 @@ def _rough(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     knots = rng.uniform(-1.0, 1.0, (int(v[-1]) + 2, int(u[-1]) + 2)) * value / 100.0
     along = np.array([np.interp(u, np.arange(knots.shape[1]), row) for row in knots])
     z = np.array([np.interp(v, np.arange(knots.shape[0]), column) for column in along.T]).T
-    return z * np.clip((x - 0.4) / 0.5, 0.0, 1.0), AT + 3.0
+    return z * np.clip((x - 0.4) / 0.5, 0.0, 1.0), OBSTACLE_X + 3.0
 
 
 def _posts(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     """A stepfield 1.2 m long."""
-    thirds = posts(x - AT, y, 10, np.random.default_rng(seed))
-    return thirds * value / 300.0, AT + 2.2
+    thirds = posts(x - OBSTACLE_X, y, 10, np.random.default_rng(seed))
+    return thirds * value / 300.0, OBSTACLE_X + 2.2
 
 
 def posts(x: Field, y: Field, columns: int, rng: np.random.Generator) -> Field:
@@ -167,8 +167,8 @@ _KINDS: dict[str, Callable[[Field, Field, float, int], tuple[Field, float]]] = {
     "krail": _krail,
     "rough": _rough,
     "posts": _posts,
-    **{f"face{angle}": _face(angle) for angle in ANGLES},
-    **{f"bar{angle}": _bar(angle) for angle in ANGLES},
+    **{f"face{angle}": _face(angle) for angle in FACE_ANGLES},
+    **{f"bar{angle}": _bar(angle) for angle in FACE_ANGLES},
 }
 
 
@@ -178,20 +178,20 @@ def course(name: str, variant: int = 0) -> Course:
     kind, _, value = name.rpartition("_")
     if kind not in _KINDS:
         raise ValueError(f"no course {name!r}; kinds are {', '.join(_KINDS)}, e.g. step_up_10")
-    xs = np.arange(round(8.4 / RESOLUTION)) * RESOLUTION + START
-    ys = np.arange(-round(HALF_WIDTH / RESOLUTION), round(HALF_WIDTH / RESOLUTION) + 1) * RESOLUTION
+    xs = np.arange(round(8.4 / CELL_SIDE)) * CELL_SIDE + START_X
+    ys = np.arange(-round(HALF_WIDTH / CELL_SIDE), round(HALF_WIDTH / CELL_SIDE) + 1) * CELL_SIDE
     x, y = np.meshgrid(xs, ys)
     z, finish = _KINDS[kind](x, y, float(value), zlib.crc32(name.encode()) + variant)
-    return Course(name, z.astype(np.float32), (START, float(ys[0])), float(finish))
+    return Course(name, z.astype(np.float32), (START_X, float(ys[0])), float(finish))
 
 
 def rolling_ground(seed: int = 5) -> tuple[NDArray[np.float32], tuple[float, float]]:
     """10 x 10 m of hills with slopes up to 21 degrees and +-3 cm roughness, centred on the origin; 500 x 500 cells."""
     n = 500
-    axis = (np.arange(n) - (n - 1) / 2.0) * RESOLUTION
+    axis = (np.arange(n) - (n - 1) / 2.0) * CELL_SIDE
     x, y = np.meshgrid(axis, axis)
     hills = np.sin(2.0 * np.pi * x / 4.0) * np.cos(2.0 * np.pi * y / 4.6)
-    slope = np.hypot(*np.gradient(hills, RESOLUTION)).max()
+    slope = np.hypot(*np.gradient(hills, CELL_SIDE)).max()
     hills *= np.tan(np.radians(21.0)) / slope
     rough, _ = _rough(x + 100.0, y, 3.0, seed)
     return (hills + rough).astype(np.float32), (float(axis[0]), float(axis[0]))

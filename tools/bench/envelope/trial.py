@@ -11,20 +11,20 @@ from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.driver import Driver
 from hal.mujoco.robot import Simulated
 from hal.mujoco.sim import Simulation
-from tools.bench.envelope.terrain import RESOLUTION, course
+from tools.bench.envelope.terrain import CELL_SIDE, course
 
-DT = 0.005
+TIME_STEP = 0.005
 RUNS = (
     (0.6, (0.0, 0.0, 0.0)),
     (0.8, (-0.07, 0.05, 0.05)),
     (1.0, (-0.13, -0.05, -0.05)),
 )
 """Wheel friction and start offset x, y [m], yaw [rad] of the three runs of a cell."""
-TIPPED = 0.5
+TIPPED_COSINE = 0.5
 """Cosine of the trunk's tilt below which the robot has tipped over (60 degrees)."""
-AIM = 0.7
+AIM_DISTANCE = 0.7
 """The heading loop aims this far ahead [m] on the line y = 0: on a steep side slope rolling wheels creep downhill."""
-CORRIDOR = 0.6
+MAX_ASIDE = 0.6
 """Furthest from the line y = 0 [m]."""
 
 
@@ -76,7 +76,7 @@ def noisy(state: LowState, rng: np.random.Generator) -> LowState:
 def steering(aside: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
     """Yaw rate [rad/s] of robots `aside` of the line they drive along [m], with heading `yaw` to it [rad]; any
     shape."""
-    off = np.arctan2(-np.asarray(aside, np.float64), AIM) - np.asarray(yaw, np.float64)
+    off = np.arctan2(-np.asarray(aside, np.float64), AIM_DISTANCE) - np.asarray(yaw, np.float64)
     return np.clip(2.0 * off, -0.8, 0.8)
 
 
@@ -94,10 +94,10 @@ def drive(
     friction, (x0, y0, yaw0) = RUNS[run]
     sim = Simulation(
         ground.height,
-        RESOLUTION,
+        CELL_SIDE,
         ground.origin,
         friction=friction if c.friction is None else c.friction,
-        timestep=DT,
+        timestep=TIME_STEP,
         payload=c.payload,
         command_delay=c.delay,
         robot=robot,
@@ -117,9 +117,9 @@ def drive(
             rot = sim.rotation
             pitches.append(abs(np.arcsin(np.clip(rot[2, 0], -1.0, 1.0))))
             reason = ""
-            if rot[2, 2] < TIPPED:
+            if rot[2, 2] < TIPPED_COSINE:
                 reason = "tipped"
-            elif abs(y) > CORRIDOR:
+            elif abs(y) > MAX_ASIDE:
                 reason = "left the corridor"
             elif x > ground.finish:
                 reason = "passed"

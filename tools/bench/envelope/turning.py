@@ -10,27 +10,27 @@ from hal.lowlevel import Locomotion
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.rotation import wrap
-from tools.bench.envelope.terrain import RESOLUTION
-from tools.bench.envelope.trial import DT, TIPPED
+from tools.bench.envelope.terrain import CELL_SIDE
+from tools.bench.envelope.trial import TIME_STEP, TIPPED_COSINE
 
-RATE = 0.8
+TURN_RATE = 0.8
 """[rad/s]"""
-TURNING, LEAVING = 10.5, 3.0
+TURNING_TIME, LEAVING_TIME = 10.5, 3.0
 """How long it turns, and then drives off [s]."""
-OFF = (0.5, 0.0)
+LEAVING_COMMAND = (0.5, 0.0)
 """Speed [m/s] and yaw rate [rad/s] of driving off."""
-CURVING = 3.5
+CURVING_TIME = 3.5
 """How long it turns before it drives off in a curve [s]: long enough to be held by the bar."""
-CURVES = ((0.4, RATE), (0.4, -RATE))
+CURVE_COMMANDS = ((0.4, TURN_RATE), (0.4, -TURN_RATE))
 """Speed [m/s] and yaw rate [rad/s, the way it turned positive] of driving off in a curve."""
 PLACES = tuple((at, angle, way) for at in (-0.2, 0.0, 0.2) for angle in (0.0, 0.785, 1.3) for way in (1, -1))
 """Offset [m] and angle [rad] of the bar's middle line to the robot, and the turning direction of the 18 trials."""
-HALF = 2.5
+HALF_SIDE = 2.5
 """Half the side of the ground [m]."""
 
 
 def _ground() -> tuple[np.ndarray, np.ndarray]:
-    axis = np.arange(-HALF, HALF + 1e-9, RESOLUTION)
+    axis = np.arange(-HALF_SIDE, HALF_SIDE + 1e-9, CELL_SIDE)
     x, y = np.meshgrid(axis, axis)
     return x, y
 
@@ -38,7 +38,7 @@ def _ground() -> tuple[np.ndarray, np.ndarray]:
 def _drive(driver: Driver, vx: float, wz: float) -> bool:
     """One tick; False when the robot has tipped."""
     driver.step(vx, wz)
-    return bool(driver.simulation.rotation[2, 2] >= TIPPED)
+    return bool(driver.simulation.rotation[2, 2] >= TIPPED_COSINE)
 
 
 def turn_on_bar(
@@ -48,8 +48,8 @@ def turn_on_bar(
     angle: float,
     way: int,
     friction: float = 0.8,
-    turning: float = TURNING,
-    off: tuple[float, float] = OFF,
+    turning: float = TURNING_TIME,
+    off: tuple[float, float] = LEAVING_COMMAND,
 ) -> tuple[str, float]:
     """Drive onto a bar of `height` [m] and 0.1 m width, turn there, drive off: when it tipped over, angle turned [rad].
 
@@ -62,7 +62,7 @@ def turn_on_bar(
     z = np.where(np.abs(x * math.cos(angle) + y * math.sin(angle) - at) < 0.05, height, 0.0).astype(
         np.float32
     )
-    sim = Simulation(z, RESOLUTION, (-HALF, -HALF), friction=friction, timestep=DT)
+    sim = Simulation(z, CELL_SIDE, (-HALF_SIDE, -HALF_SIDE), friction=friction, timestep=TIME_STEP)
     sim.reset(-1.0)
     driver = Driver(sim, controller)
     while sim.time < 0.5:
@@ -75,11 +75,11 @@ def turn_on_bar(
     end = sim.time + turning
     while sim.time < end:
         before = sim.yaw
-        if not _drive(driver, 0.0, way * RATE):
+        if not _drive(driver, 0.0, way * TURN_RATE):
             return "turning", way * turned
         turned += wrap(sim.yaw - before)
-    end = sim.time + LEAVING
-    while sim.time < end and np.abs(sim.position[:2]).max() < HALF - 0.6:
+    end = sim.time + LEAVING_TIME
+    while sim.time < end and np.abs(sim.position[:2]).max() < HALF_SIDE - 0.6:
         if not _drive(driver, off[0], way * off[1]):
             return "leaving", way * turned
     return "", way * turned
@@ -89,13 +89,13 @@ def turn_on_ramp(controller: Locomotion, degrees: float, way: int, seconds: floa
     """Share of the commanded angle that the robot turns on a ramp within `seconds`; zero when it tips over."""
     x, _ = _ground()
     z = (math.tan(math.radians(degrees)) * x).astype(np.float32)
-    sim = Simulation(z, RESOLUTION, (-HALF, -HALF), friction=0.8, timestep=DT)
+    sim = Simulation(z, CELL_SIDE, (-HALF_SIDE, -HALF_SIDE), friction=0.8, timestep=TIME_STEP)
     sim.reset()
     driver = Driver(sim, controller)
     turned = 0.0
     while sim.time < 0.5 + seconds:
         before = sim.yaw
-        if not _drive(driver, 0.0, way * RATE if sim.time >= 0.5 else 0.0):
+        if not _drive(driver, 0.0, way * TURN_RATE if sim.time >= 0.5 else 0.0):
             return 0.0
         turned += wrap(sim.yaw - before)
-    return way * turned / (RATE * seconds)
+    return way * turned / (TURN_RATE * seconds)

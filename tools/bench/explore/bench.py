@@ -19,7 +19,7 @@ from tools.bench.explore.sites import SITES, site
 from tools.bench.report import Report
 
 ORDERS = ("ours", "nearest")
-WAY, SEEN = 0.8, 0.97
+WAY_SHARE, SEEN_SHARE = 0.8, 0.97
 """Asked: the share of the nearest-first explorer's way, and of the reachable ground that is seen."""
 
 
@@ -69,7 +69,7 @@ def table(records: list[dict[str, Any]], how: str) -> Report:
         limit = order == "ours"
         report.rate(
             f"explore.{how}.{order}.seen_97",
-            sum(r["share"] >= SEEN for r in mine),
+            sum(r["share"] >= SEEN_SHARE for r in mine),
             len(mine),
             1.0 if limit else None,
         )
@@ -92,7 +92,7 @@ def table(records: list[dict[str, Any]], how: str) -> Report:
                 ratios.append((ours[name], other[name]))
         if ratios:
             ratio = sum(a for a, _ in ratios) / sum(b for _, b in ratios)
-            limit_way = WAY if name == "at_0.97" else None
+            limit_way = WAY_SHARE if name == "at_0.97" else None
             report.add(f"explore.{how}.ours_to_nearest.{name}", ratio, "ratio", limit_way)
     return report
 

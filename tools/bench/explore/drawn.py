@@ -21,22 +21,22 @@ from planning.risk.body import BodyModel
 from planning.search.sight import Sight
 from planning.search.viewpoints import BARRED_RADIUS, LEAST_GAIN, Survey, viewpoints
 
-RANGE, EYE = 4.5, 0.5
+SIGHT_RANGE, EYE_HEIGHT = 4.5, 0.5
 """[m] Farthest ground that is seen, and the height of the LiDAR above the ground."""
-RAYS = 1440
-EVERY = 1.0
+RAY_COUNT = 1440
+ASK_EVERY = 1.0
 """[m] driven between two questions."""
-LOOK = 0.25
+LOOK_EVERY = 0.25
 """[m] driven between two sweeps."""
-ANEW = 4
+OTHER_GRAPHS = 4
 """Other graphs that are searched before there is no place left."""
-HERE = 0.75
+SAME_VIEW = 0.75
 """[m] A place so near to the one that was looked from shows no more."""
 SAME_FRONTIER = 0.5
 """[m] A frontier so near to the one driven to is that one."""
-LONGEST = 100.0
+LONGEST_WAY = 100.0
 """[m] of way for each metre of the site's side, after which it is given up."""
-SHARES = (0.5, 0.8, 0.9, 0.95, 0.97)
+SEEN_SHARES = (0.5, 0.8, 0.9, 0.95, 0.97)
 
 
 class Walk:
@@ -69,7 +69,7 @@ class Walk:
         """One sweep."""
         res = self.truth.resolution
         c, r = ((self.place[k] - self.truth.origin[k]) / res for k in (0, 1))
-        n = math.ceil(RANGE / res) + 1
+        n = math.ceil(SIGHT_RANGE / res) + 1
         rows, cols = self.truth.height.shape
         sweep(self.truth.height, self.seen, c, r, res)
         self._shown.append(
@@ -89,12 +89,12 @@ class Walk:
         return grid
 
     def explore(self) -> dict[str, Any]:
-        """Until no place is left, then home; metres at each of `SHARES` (NaN: never), in all, and the shares at the
-        end."""
+        """Until no place is left, then home; metres at each of `SEEN_SHARES` (NaN: never), in all, and the shares at
+        the end."""
         barred: list[tuple[float, float]] = []
         target: tuple[float, float] | None = None
-        record: dict[str, Any] = {f"at_{share}": math.nan for share in SHARES}
-        limit = LONGEST * max(self.truth.height.shape) * self.truth.resolution
+        record: dict[str, Any] = {f"at_{share}": math.nan for share in SEEN_SHARES}
+        limit = LONGEST_WAY * max(self.truth.height.shape) * self.truth.resolution
         looked: tuple[float, float] | None = None
         anew = 0
         while self.way < limit:
@@ -106,19 +106,19 @@ class Walk:
                     self.place, None, self.truth.start[:2], target, np.array(barred).reshape(-1, 2)
                 )
                 xy = viewpoints(self.graph, grid, survey, self._sigma).xy
-            if looked is not None and len(xy) and np.hypot(*(xy - looked).T).min() < HERE:
+            if looked is not None and len(xy) and np.hypot(*(xy - looked).T).min() < SAME_VIEW:
                 barred.append(looked)
                 looked, target = None, None
                 continue
             looked = None
             if not len(xy):
-                if (anew := anew + 1) > ANEW:
+                if (anew := anew + 1) > OTHER_GRAPHS:
                     break
                 self.graph = TraversalGraph.build(grid, self.place, GraphParams(), anew)
                 continue
             anew = 0
             target = (float(xy[0, 0]), float(xy[0, 1]))
-            if self._drive(target, EVERY, record):
+            if self._drive(target, ASK_EVERY, record):
                 looked, target = target, None
         record |= {"explored": self.way, "share": self.share, "left": len(xy)}
         record["home"] = self._drive(self.truth.start[:2], math.inf, record)
@@ -130,7 +130,7 @@ class Walk:
         left = most
         for x, y in points:
             while (away := math.dist(self.place, (x, y))) > 1e-9:
-                step = min(LOOK, away, left)
+                step = min(LOOK_EVERY, away, left)
                 if step <= 1e-9:
                     return False
                 k = step / away
@@ -141,7 +141,7 @@ class Walk:
                 self.way += step
                 left -= step
                 self.look()
-                for share in SHARES:
+                for share in SEEN_SHARES:
                     if math.isnan(record[f"at_{share}"]) and self.share >= share:
                         record[f"at_{share}"] = self.way
         return bool(len(points))
@@ -212,11 +212,11 @@ def path(
 def sweep(height, seen, c, r, res):
     """Mark the cells in sight from column `c`, row `r`: along each ray what rises above all before it."""
     rows, cols = height.shape
-    eye = height[int(r), int(c)] + EYE
-    for a in range(RAYS):
-        dx, dy = math.cos(2.0 * math.pi * a / RAYS), math.sin(2.0 * math.pi * a / RAYS)
+    eye = height[int(r), int(c)] + EYE_HEIGHT
+    for a in range(RAY_COUNT):
+        dx, dy = math.cos(2.0 * math.pi * a / RAY_COUNT), math.sin(2.0 * math.pi * a / RAY_COUNT)
         best = -np.inf
-        for s in range(1, int(RANGE / res) + 1):
+        for s in range(1, int(SIGHT_RANGE / res) + 1):
             i, j = int(c + s * dx + 0.5), int(r + s * dy + 0.5)
             if i < 0 or j < 0 or i >= cols or j >= rows:
                 break

@@ -24,15 +24,15 @@ from rbtrg_robot.missions.file import outing
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode
 from tools.bench.closed_loop.trial import attitude
-from tools.bench.explore.drawn import SHARES, truth_reachable
+from tools.bench.explore.drawn import SEEN_SHARES, truth_reachable
 
-BUDGET = 30.0
+TIME_BUDGET = 30.0
 """[s] of simulated time for each square metre of the site."""
-FALLEN = 60.0
+FALLEN_TILT = 60.0
 """[deg] of tilt."""
-HOME = 0.5
+HOME_RADIUS = 0.5
 """[m] Farthest true distance from the start that counts as home."""
-SAMPLE = 200
+LOOK_EVERY = 200
 """Steps of 5 ms between looks."""
 
 
@@ -60,11 +60,11 @@ class Explored:
 
 
 def drive(scene: Scene, budget: float = 0.0, logs: Path | None = None) -> dict[str, Any]:
-    """The record: metres at each of `SHARES`, share at the end, whether it came home by the truth, fell, and the
+    """The record: metres at each of `SEEN_SHARES`, share at the end, whether it came home by the truth, fell, and the
     stack's own words. `logs`: a folder for site and log of the drive, of which `rbtrg-robot log film` makes a film."""
     began = time.process_time()
     aim = truth_reachable(scene)
-    budget = budget or BUDGET * aim.sum() * scene.resolution**2
+    budget = budget or TIME_BUDGET * aim.sum() * scene.resolution**2
     with ExitStack() as kept:
         folder = logs or Path(kept.enter_context(tempfile.TemporaryDirectory()))
         file = folder / f"{scene.name}.npz"
@@ -80,25 +80,25 @@ def drive(scene: Scene, budget: float = 0.0, logs: Path | None = None) -> dict[s
             run.start({})
             sim: Simulation = stack.robot.backend.simulation  # type: ignore[attr-defined]
             begin, way, fell = stack.seconds, 0.0, False
-            record: dict[str, Any] = {f"at_{share}": math.nan for share in SHARES}
+            record: dict[str, Any] = {f"at_{share}": math.nan for share in SEEN_SHARES}
             last = sim.position[:2].copy()
             share = 0.0
-            for look in range(round(budget * 200 / SAMPLE)):
-                for _ in range(SAMPLE):
+            for look in range(round(budget * 200 / LOOK_EVERY)):
+                for _ in range(LOOK_EVERY):
                     stack.step()
                 place = sim.position[:2].copy()
                 way += float(np.hypot(*(place - last)))
                 last = place
-                fell |= bool(sim.diverged) or attitude(sim)[2] > FALLEN
+                fell |= bool(sim.diverged) or attitude(sim)[2] > FALLEN_TILT
                 if look % 5 == 0 or run.over:
                     share = _share(stack, scene, aim)
-                    for asked in SHARES:
+                    for asked in SEEN_SHARES:
                         if math.isnan(record[f"at_{asked}"]) and share >= asked:
                             record[f"at_{asked}"] = way
                 if run.over or fell:
                     break
             told = list(run.state.result_description)
-            home = run.state.phase == "finished" and math.dist(last, scene.start[:2]) < HOME
+            home = run.state.phase == "finished" and math.dist(last, scene.start[:2]) < HOME_RADIUS
             return record | {
                 "share": share,
                 "way": way,

@@ -9,10 +9,10 @@ import numpy as np
 from hal.scenes.canvas import Canvas, Rect
 from hal.scenes.scene import Scene
 
-RESOLUTION = 0.05
-WALL, HIGH = 0.16, 1.5
+CELL_SIDE = 0.05
+WALL_WIDTH, WALL_HEIGHT = 0.16, 1.5
 """[m] thick and high."""
-DOOR = 1.1
+DOOR_WIDTH = 1.1
 SITES: tuple[tuple[str, int, float], ...] = (
     *(("rooms", 0, 20.0), ("rooms", 1, 30.0), ("rooms", 2, 40.0), ("rooms", 3, 60.0)),
     *(("yard", 4, 20.0), ("yard", 5, 35.0), ("yard", 6, 50.0)),
@@ -25,17 +25,17 @@ SITES: tuple[tuple[str, int, float], ...] = (
 def site(kind: str, seed: int, side: float) -> Scene:
     """A walled square of `side` [m]; the robot begins in its south-west corner."""
     random = np.random.default_rng(seed)
-    canvas = Canvas((0.0, side, 0.0, side), RESOLUTION)
+    canvas = Canvas((0.0, side, 0.0, side), CELL_SIDE)
     {"rooms": _rooms, "yard": _yard, "rubble": _rubble, "basement": _basement}[kind](canvas, side, random)
     start = (1.2, 1.2)
     canvas.height[np.hypot(canvas.x - start[0], canvas.y - start[1]) < 0.9] = canvas.height[
-        round(start[1] / RESOLUTION), round(start[0] / RESOLUTION)
+        round(start[1] / CELL_SIDE), round(start[0] / CELL_SIDE)
     ]
-    canvas.border(WALL, canvas.height.max() + HIGH)
+    canvas.border(WALL_WIDTH, canvas.height.max() + WALL_HEIGHT)
     return Scene(
         name=f"{kind}-{seed}",
         height=canvas.array(),
-        resolution=RESOLUTION,
+        resolution=CELL_SIDE,
         origin=canvas.origin,
         start=(*start, 0.25 * math.pi),
         goals={},
@@ -52,15 +52,17 @@ def _split(canvas: Canvas, rect: Rect, random: np.random.Generator, top: float, 
         return
     at = random.uniform(low + least, high - least)
     side0, side1 = (y0, y1) if across else (x0, x1)
-    doors = [random.uniform(side0 + 0.4, side1 - 0.4 - DOOR)]
+    doors = [random.uniform(side0 + 0.4, side1 - 0.4 - DOOR_WIDTH)]
     if side1 - side0 > 10.0:
-        doors.append(random.uniform(side0 + 0.4, side1 - 0.4 - DOOR))
-    ends = [side0, *(v for d in sorted(doors) for v in (d, d + DOOR)), side1]
+        doors.append(random.uniform(side0 + 0.4, side1 - 0.4 - DOOR_WIDTH))
+    ends = [side0, *(v for d in sorted(doors) for v in (d, d + DOOR_WIDTH)), side1]
     for a, b in zip(ends[::2], ends[1::2], strict=True):
         if b > a:
-            canvas.box((at, at + WALL, a, b) if across else (a, b, at, at + WALL), top)
+            canvas.box((at, at + WALL_WIDTH, a, b) if across else (a, b, at, at + WALL_WIDTH), top)
     parts = (
-        [(x0, at, y0, y1), (at + WALL, x1, y0, y1)] if across else [(x0, x1, y0, at), (x0, x1, at + WALL, y1)]
+        [(x0, at, y0, y1), (at + WALL_WIDTH, x1, y0, y1)]
+        if across
+        else [(x0, x1, y0, at), (x0, x1, at + WALL_WIDTH, y1)]
     )
     for part in parts:
         _split(canvas, part, random, top, least)
@@ -75,7 +77,7 @@ def _blocks(canvas: Canvas, rect: Rect, random: np.random.Generator, count: int,
 
 
 def _rooms(canvas: Canvas, side: float, random: np.random.Generator) -> None:
-    _split(canvas, (0.0, side, 0.0, side), random, HIGH, 3.5)
+    _split(canvas, (0.0, side, 0.0, side), random, WALL_HEIGHT, 3.5)
     _blocks(canvas, (2.5, side, 2.5, side), random, int(side * side / 40.0), 0.9)
 
 
@@ -98,10 +100,10 @@ def _basement(canvas: Canvas, side: float, random: np.random.Generator) -> None:
     depth, half = 1.2, 0.5 * side
     canvas.box((0.0, side, 0.0, half), depth)
     _blocks(canvas, (3.0, side - 3.0, 2.0, half - 3.0), random, 6, 1.2)
-    canvas.box((0.0, side, half, half + WALL), depth + 1.0)
+    canvas.box((0.0, side, half, half + WALL_WIDTH), depth + 1.0)
     for x in (2.0, side - 4.0):
-        canvas.height[canvas.inside((x, x + 2.0, half - 5.5, half + WALL))] = 0.0
+        canvas.height[canvas.inside((x, x + 2.0, half - 5.5, half + WALL_WIDTH))] = 0.0
         canvas.ramp((x, x + 2.0, half - 5.5, half), 0.0, depth, "-y")
-        for edge in (x - WALL, x + 2.0):
-            canvas.box((edge, edge + WALL, half - 5.0, half), depth + 0.4)
-    _split(canvas, (0.0, side, half + 2.5, side), random, HIGH, 3.5)
+        for edge in (x - WALL_WIDTH, x + 2.0):
+            canvas.box((edge, edge + WALL_WIDTH, half - 5.0, half), depth + 0.4)
+    _split(canvas, (0.0, side, half + 2.5, side), random, WALL_HEIGHT, 3.5)

@@ -16,15 +16,15 @@ from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.faults.fault import Fault, Outcome
 from tools.bench.faults.watch import Watch, by_hand
 
-AWAY = 1.1
+MET_DISTANCE = 1.1
 """[m] from base_link at the start to the middle of what is met."""
 WORDS = ("touched something that the LiDAR does not see at (",)
 CONTROLLERS: tuple[str, str] = ("vmc", "hybrid")
 GIVEN_UP = 60.0
 """[s] for a goal 3 m away."""
-TRUNK = 0.42
+TRUNK_HEIGHT = 0.42
 """[m] above the ground."""
-KERB = 0.10
+KERB_HEIGHT = 0.10
 """[m] As high as both controllers climb."""
 Boxes = tuple[dict[str, Any], ...]
 
@@ -32,29 +32,29 @@ Boxes = tuple[dict[str, Any], ...]
 def pane(degrees: float) -> Boxes:
     """A glass front 2 m wide, open on both sides, turned from across the way."""
     yaw = math.radians(degrees)
-    return ({"centre": (AWAY, 0.0, 0.6), "size": (0.02, 2.0, 1.2), "yaw": yaw, "clear": True},)
+    return ({"centre": (MET_DISTANCE, 0.0, 0.6), "size": (0.02, 2.0, 1.2), "yaw": yaw, "clear": True},)
 
 
 def pane_on_kerb(behind: float) -> Boxes:
     """A glass front [m] behind the face of a kerb."""
-    kerb = {"centre": (AWAY - behind + 1.0, 0.0, KERB / 2), "size": (2.0, 3.0, KERB)}
+    kerb = {"centre": (MET_DISTANCE - behind + 1.0, 0.0, KERB_HEIGHT / 2), "size": (2.0, 3.0, KERB_HEIGHT)}
     return (*pane(0.0), kerb)
 
 
 def post(left: float) -> Boxes:
     """Thin, as tall as the robot; [m] left of the way."""
-    return ({"centre": (AWAY, left, 0.5), "size": (0.05, 0.05, 1.0), "clear": True},)
+    return ({"centre": (MET_DISTANCE, left, 0.5), "size": (0.05, 0.05, 1.0), "clear": True},)
 
 
 def bar(height: float, degrees: float = 0.0) -> Boxes:
     """Across the way, turned by `degrees` from there; middle above the ground [m]."""
     yaw = math.radians(degrees)
-    return ({"centre": (AWAY, 0.0, height), "size": (0.04, 2.0, 0.06), "yaw": yaw, "clear": True},)
+    return ({"centre": (MET_DISTANCE, 0.0, height), "size": (0.04, 2.0, 0.06), "yaw": yaw, "clear": True},)
 
 
 def low_bar(degrees: float) -> Boxes:
     """At the height of the trunk, turned from across the way."""
-    return bar(TRUNK, degrees)
+    return bar(TRUNK_HEIGHT, degrees)
 
 
 def stack_before(boxes: Boxes, controller: str, seed: int) -> Lockstep:
@@ -114,7 +114,7 @@ FAULTS = (
     Fault("contact.pane", (TOUCHED,), (0.0, 60.0, 15.0, 30.0, 45.0), _by_hand(pane), rest=1.0, says=WORDS),
     Fault("contact.pane_on_kerb", (TOUCHED,), (0.25, 0.0), _by_hand(pane_on_kerb), rest=1.0, says=WORDS),
     Fault("contact.post", (TOUCHED,), (0.0, 0.2, 0.1), _by_hand(post), rest=1.0, says=WORDS),
-    Fault("contact.bar", (TOUCHED,), (TRUNK, 0.13), _by_hand(bar), rest=1.0, says=WORDS),
+    Fault("contact.bar", (TOUCHED,), (TRUNK_HEIGHT, 0.13), _by_hand(bar), rest=1.0, says=WORDS),
     Fault(
         "contact.pane_round", (TOUCHED,), (0.0, 45.0), _by_goal(pane), error=0.35, says=(*WORDS, "reached")
     ),

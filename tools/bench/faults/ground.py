@@ -26,19 +26,19 @@ from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.faults.fault import Fault, Outcome
 from tools.bench.faults.watch import Watch, by_hand, tap
 
-CELL, CORNER = 0.02, (-1.5, -1.5)
-DEPTH = 2.0
+CELL_SIDE, GROUND_CORNER = 0.02, (-1.5, -1.5)
+HOLE_DEPTH = 2.0
 """[m] of holes."""
-SINKS = 0.15
+SINK_DEPTH = 0.15
 """[m] that base_link sinks by where the robot is in a hole."""
-EDGE, LEFT = 1.6, 0.12
+RIM_AHEAD, RIM_LEFT = 1.6, 0.12
 """[m] ahead of the start and to its left, a place on the near rim of a hole: a hole along the way lies before the left
 wheels."""
-ANGLES = (0.0, 25.0, 50.0, 70.0, 90.0)
+HOLE_ANGLES = (0.0, 25.0, 50.0, 70.0, 90.0)
 """[deg] between the way and the normal of a hole, by seed."""
-FREE = 0.9
+FREE_AHEAD = 0.9
 """[m] ahead of the start that no hole begins before."""
-LATE = 1.0
+LATE_RANGE = 1.0
 """[m] from base_link, the farthest ground that sends a ray back where holes are seen late: a third of a metre before
 the
 nose and the width of a hole."""
@@ -48,10 +48,10 @@ GIVEN_UP = 90.0
 
 @contextmanager
 def stack_on(height: np.ndarray, seed: int, **settings: Any) -> Iterator[Lockstep]:
-    """A ready stack on a terrain (rows, cols) [m] of CELL and CORNER, at the origin."""
+    """A ready stack on a terrain (rows, cols) [m] of CELL_SIDE and GROUND_CORNER, at the origin."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "ground.npz"
-        np.savez(file, height=height.astype(np.float32), resolution=CELL, origin=np.array(CORNER))
+        np.savez(file, height=height.astype(np.float32), resolution=CELL_SIDE, origin=np.array(GROUND_CORNER))
         sets = ["record=false", f"seed={seed}"]
         with Lockstep(load(None, sets, scene=str(file), origin=(0.0, 0.0, 0.0), **settings)) as stack:
             stack.wait_ready()
@@ -59,11 +59,11 @@ def stack_on(height: np.ndarray, seed: int, **settings: Any) -> Iterator[Lockste
 
 
 def walled(length: float = 6.0, width: float = 3.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Level ground at DEPTH inside walls, with the x and y [m] of its cells."""
-    x = np.arange(CORNER[0], CORNER[0] + length, CELL)
-    y = np.arange(CORNER[1], CORNER[1] + width, CELL)
-    height = np.full((len(y), len(x)), DEPTH)
-    height[:3] = height[-3:] = height[:, :3] = height[:, -3:] = DEPTH + 1.0
+    """Level ground at HOLE_DEPTH inside walls, with the x and y [m] of its cells."""
+    x = np.arange(GROUND_CORNER[0], GROUND_CORNER[0] + length, CELL_SIDE)
+    y = np.arange(GROUND_CORNER[1], GROUND_CORNER[1] + width, CELL_SIDE)
+    height = np.full((len(y), len(x)), HOLE_DEPTH)
+    height[:3] = height[-3:] = height[:, :3] = height[:, -3:] = HOLE_DEPTH + 1.0
     return height, *np.meshgrid(x, y)
 
 
@@ -72,20 +72,20 @@ def _to_hole(width: float, seed: int, *, hands: bool, late: bool = False) -> Out
     of a
     wheel came over it.
     """
-    angle = math.radians(ANGLES[seed % len(ANGLES)])
+    angle = math.radians(HOLE_ANGLES[seed % len(HOLE_ANGLES)])
 
     def inside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        across = (x - EDGE) * math.cos(angle) + (y - LEFT) * math.sin(angle)
-        return (across > 0.0) & (across < width) & (x > FREE)
+        across = (x - RIM_AHEAD) * math.cos(angle) + (y - RIM_LEFT) * math.sin(angle)
+        return (across > 0.0) & (across < width) & (x > FREE_AHEAD)
 
     height, x, y = walled()
-    height[inside(x, y) & (height == DEPTH)] = 0.0
+    height[inside(x, y) & (height == HOLE_DEPTH)] = 0.0
     with stack_on(height, seed) as stack:
         if late:
             tap(stack, partial(_near_ground, _mounts(stack)))
         watch, entered = Watch(stack), False
         if not hands:
-            stack.send_goal(EDGE + width + 1.2, 0.0)
+            stack.send_goal(RIM_AHEAD + width + 1.2, 0.0)
         for _ in range(160):
             if hands:
                 by_hand(stack, 0.45, 0.0, 0.04)
@@ -115,13 +115,13 @@ def _mounts(stack: Lockstep) -> Mounts:
 
 
 def _near_ground(mounts: Mounts, samples: list[Sample]) -> list[Sample]:
-    """Wet ground: rays that meet it, or what lies below it, farther than LATE do not come back."""
+    """Wet ground: rays that meet it, or what lies below it, farther than LATE_RANGE do not come back."""
     out: list[Sample] = []
     for sample in samples:
         if isinstance(sample, LidarScan):
             turned, moved = mounts[sample.name]
             xyz = np.column_stack([sample.points[axis] for axis in "xyz"]) @ turned.T + moved
-            seen = (xyz[:, 2] > -0.2) | (np.hypot(xyz[:, 0], xyz[:, 1]) < LATE)
+            seen = (xyz[:, 2] > -0.2) | (np.hypot(xyz[:, 0], xyz[:, 1]) < LATE_RANGE)
             sample = replace(sample, points=sample.points[seen])
         out.append(sample)
     return out
@@ -143,7 +143,7 @@ def _moat(width: float, seed: int) -> Outcome:
     """A goal on a plateau that a trench of `width` [m] surrounds: how long until it ends, as `rest`."""
     height, x, y = walled()
     away = np.maximum(np.abs(x - 2.6), np.abs(y))
-    height[(away > 0.6) & (away < 0.6 + width) & (height == DEPTH)] = 0.0
+    height[(away > 0.6) & (away < 0.6 + width) & (height == HOLE_DEPTH)] = 0.0
     with stack_on(height, seed) as stack:
         watch = Watch(stack)
         level, began = _height(stack), stack.seconds
@@ -153,7 +153,7 @@ def _moat(width: float, seed: int) -> Outcome:
             stack.run(0.5)
         took = stack.seconds - began if _over(stack) else math.inf
         outcome = watch.outcome()
-        return replace(outcome, rest=took, fell=outcome.fell or _height(stack) < level - SINKS)
+        return replace(outcome, rest=took, fell=outcome.fell or _height(stack) < level - SINK_DEPTH)
 
 
 def _before_a_wall(left: float, seed: int) -> Outcome:
@@ -179,12 +179,12 @@ def _height(stack: Lockstep) -> float:
     return float(stack.newest[t.TRUTH].pose.pose.position.z)
 
 
-WIDTHS = (0.16, 0.2, 0.13, 0.25, 0.35, 0.6)
+TRIED_WIDTHS = (0.16, 0.2, 0.13, 0.25, 0.35, 0.6)
 """Of holes [m]."""
 FAULTS = (
-    Fault("hole by hand", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=True)),
-    Fault("hole before a goal", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=False)),
-    Fault("hole seen late", (HOLE_WIDTH,), WIDTHS, partial(_to_hole, hands=True, late=True)),
+    Fault("hole by hand", (HOLE_WIDTH,), TRIED_WIDTHS, partial(_to_hole, hands=True)),
+    Fault("hole before a goal", (HOLE_WIDTH,), TRIED_WIDTHS, partial(_to_hole, hands=False)),
+    Fault("hole seen late", (HOLE_WIDTH,), TRIED_WIDTHS, partial(_to_hole, hands=True, late=True)),
     Fault("own antenna", (OWN_PARTS,), (0.03, 0.06), _antenna, says=("own_parts",)),
     Fault("goal before a wall", (), (0.38, 0.5), _before_a_wall, rest=30.0, error=0.25, says=("reached",)),
     Fault("goal behind a moat", (GOAL_SPENT,), (0.3, 0.5), _moat, rest=40.0, error=0.25),

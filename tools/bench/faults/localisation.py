@@ -29,11 +29,11 @@ from rbtrg_robot.hosts.lockstep import Lockstep
 from tools.bench.faults.fault import Fault, Outcome
 from tools.bench.faults.watch import Watch, tap
 
-WAY = 4.0
+GOAL_DISTANCE = 4.0
 """Of the goal [m], straight ahead."""
-DRIVEN = 1.0
+DRIVEN_BEFORE = 1.0
 """Seconds of motion before the fault."""
-WATCHED = 3.0
+WATCHED_AFTER = 3.0
 """Seconds after it."""
 Change = Callable[[list[Sample]], list[Sample]]
 
@@ -43,9 +43,9 @@ def _driving(speed: float, seed: int) -> Lockstep:
     stack = Lockstep(load(None, overrides, scene="flat"))
     stack.wait_ready()
     x, y, _ = stack.config.start_pose()
-    stack.send_goal(x + WAY, y)
+    stack.send_goal(x + GOAL_DISTANCE, y)
     stack.run_until(lambda: stack.newest[t.TRUTH].twist.twist.linear.x > 0.8 * speed, 20.0, "motion")
-    stack.run(DRIVEN)
+    stack.run(DRIVEN_BEFORE)
     return stack
 
 
@@ -54,7 +54,7 @@ def _while_driving(change: Callable[[], Change]) -> Callable[[float, int], Outco
         stack = _driving(size, seed)
         with Watch(stack) as watch:
             tap(stack, change())
-            stack.run(WATCHED)
+            stack.run(WATCHED_AFTER)
             return watch.outcome()
 
     return inject
@@ -170,8 +170,8 @@ def _at_rest(change: Change, seed: int) -> Outcome:
     stack.run_until(lambda: t.ODOM_HEALTH in stack.newest, 15.0, "a word of odometry")
     with Watch(stack) as watch:
         x, y, _ = stack.config.start_pose()
-        stack.send_goal(x + WAY, y)
-        stack.run(WATCHED)
+        stack.send_goal(x + GOAL_DISTANCE, y)
+        stack.run(WATCHED_AFTER)
         return watch.outcome()
 
 
@@ -181,7 +181,7 @@ def _other_unit(unit: float, seed: int) -> Outcome:
     stack.wait_ready()
     with Watch(stack) as watch:
         x, y, _ = stack.config.start_pose()
-        stack.send_goal(x + WAY, y)
+        stack.send_goal(x + GOAL_DISTANCE, y)
         stack.run(12.0)
         return watch.outcome()
 

@@ -22,11 +22,11 @@ from tools.bench.faults.fault import Fault, Outcome
 from tools.bench.faults.watch import REST_SPEED
 from tools.bench.ports import free_endpoint
 
-SECONDS = 3.0
+STRANGER_SECONDS = 3.0
 """[s] of the robot's time that the stranger publishes."""
-EVERY = 8
+LIMITS_EVERY = 8
 """Steps between two limits: 25 Hz."""
-PATIENCE = 10.0
+LONGEST_WAIT = 10.0
 """[s] for a message on loopback."""
 
 
@@ -46,12 +46,12 @@ def _limits(size: float, seed: int) -> Outcome:
     ):
         robot.subscribe([t.MOTION_LIMITS])
         speed, since, start, moving, told = 0.4 + 0.05 * seed, 0, 0.0, 0, ""
-        steps = round((1.0 + SECONDS) * NS / STEP_PERIOD)
+        steps = round((1.0 + STRANGER_SECONDS) * NS / STEP_PERIOD)
         for step in range(steps):
             world.advance(STEP_PERIOD / NS)
             if step == round(NS / STEP_PERIOD):
                 since, start = world.elapsed, world.body.x
-            if step % EVERY == 0:
+            if step % LIMITS_EVERY == 0:
                 command = msg.TwistStamped(header=header(world.now, BASE))
                 command.twist.linear.x = speed
                 stage.on(t.TELEOP, command, "hands")
@@ -60,7 +60,7 @@ def _limits(size: float, seed: int) -> Outcome:
                 _carry(stranger, robot, stage, world.now, size)
             stage.tick(world.now)
             moving = world.elapsed if abs(world.body.v) > REST_SPEED else moving
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + LONGEST_WAIT
         while robot.refused and not (told := robot.intrusion()) and time.monotonic() < end:
             time.sleep(0.05)  # who it is comes in Zenoh's thread
     rest = math.inf if world.elapsed - moving < NS // 2 else max(moving - since, 0) / NS
@@ -73,7 +73,7 @@ def _carry(sender: Bus, robot: Bus, stage: RobotStage, now: int, forward: float)
         header=header(now, BASE), forward=forward, backward=forward, left=1.0, right=1.0
     )
     refused = robot.refused
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + LONGEST_WAIT
     while time.monotonic() < end:
         sender.publish(t.MOTION_LIMITS, limits, now)
         for received in robot.take(0.01):

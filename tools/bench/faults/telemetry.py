@@ -191,10 +191,10 @@ def _one_late_point(late: float) -> Callable[[list[Sample]], list[Sample]]:
     return change
 
 
-HELD = 15.0
+WATCHED_TIME = 15.0
 """[s] that a late robot is watched: before, a delay was learnt within ten."""
 FAULTS = (
-    Fault("late telemetry", (CLOCK_DRIFT,), (0.6, 1.2), partial(_against_peer, _late, HELD), rest=0.5, says=("telemetry of the robot arrives",)),
+    Fault("late telemetry", (CLOCK_DRIFT,), (0.6, 1.2), partial(_against_peer, _late, WATCHED_TIME), rest=0.5, says=("telemetry of the robot arrives",)),
     Fault("robot's clock set back", (CLOCK_STEP,), (-0.6, -3.0), partial(_against_peer, partial(_set, "tick_step"), 3.0), says=("the clock of the robot stepped",)),
     Fault("LiDAR's clock set", (CLOCK_STEP,), (-0.3, -0.08), partial(_against_peer, partial(_set, "lidar_step"), 3.0), says=("the clock of the main LiDAR stepped",)),
     Fault("late sweeps", (SWEEP_LATE,), (0.5, 0.8), partial(_against_peer, _late_sweeps, 3.0), says=("sweeps of the main LiDAR arrive",)),

@@ -21,7 +21,7 @@ from tools.bench.raised import Raised
 
 REST_SPEED = 0.05
 """[m/s] slower is at rest; yaw rates double, in rad/s."""
-FALLEN = math.cos(math.radians(60.0))
+FALLEN_COSINE = math.cos(math.radians(60.0))
 """Least cosine of the tilt of a robot that did not fall."""
 
 
@@ -88,7 +88,7 @@ class Watch:
         v, w, q = truth.twist.twist.linear, truth.twist.twist.angular, truth.pose.pose.orientation
         if math.hypot(v.x, v.y) > REST_SPEED or abs(w.z) > 2 * REST_SPEED:
             self._moving_at = now
-        self._fell |= 1.0 - 2.0 * (q.x * q.x + q.y * q.y) < FALLEN
+        self._fell |= 1.0 - 2.0 * (q.x * q.x + q.y * q.y) < FALLEN_COSINE
 
     @property
     def words(self) -> str:

@@ -37,22 +37,22 @@ from tools.bench.fuzz.targets import TARGETS, Samples, newest_stamp
 from tools.bench.report import Report
 from tools.bench.spread import shielded
 
-KEPT = 12
+KEPT_MESSAGES = 12
 """Messages of a topic that mutations start from."""
-TURN = 20
+TURN_MESSAGES = 20
 """Messages between two turns of a target."""
-SOUND = 0.2
+SOUND_SHARE = 0.2
 """Share of messages that stay as they were recorded: what a target keeps must meet what is broken."""
-PATIENCE = 20
+MESSAGE_TIME = 20
 """Longest [s] that one message may take."""
-MEMORY = 6 * 2**30
+MEMORY_LIMIT = 6 * 2**30
 """Address space of a target [bytes]."""
 GROWTH_MB = 40.0
 """Growth of a process over the second half of its messages that counts as unbounded [MB]."""
 
 
 class Hangs(Exception):
-    """One message took longer than PATIENCE."""
+    """One message took longer than MESSAGE_TIME."""
 
 
 def fuzz_config() -> StackConfig:
@@ -68,7 +68,7 @@ def record(config: StackConfig, seconds: float = 6.0) -> Samples:
         def keep(topic: Topic, payload: bytes, _now: int) -> None:
             kept = samples.setdefault(topic, [])
             kept.append(payload)
-            if len(kept) > 4 * KEPT:  # thin out, so that the whole drive is in it
+            if len(kept) > 4 * KEPT_MESSAGES:  # thin out, so that the whole drive is in it
                 del kept[::2]
 
         stack.host.listen(keep)
@@ -149,11 +149,11 @@ def fuzz(
         for number in range(messages):
             if number == messages // 2:
                 memory = psutil.Process().memory_info().rss
-            topic, payload = mutator.draw(target.inputs, SOUND)
+            topic, payload = mutator.draw(target.inputs, SOUND_SHARE)
             try:
                 with patience():
                     target.take(topic, payload)
-                    if number % TURN == TURN - 1:
+                    if number % TURN_MESSAGES == TURN_MESSAGES - 1:
                         now += NS // 20
                         target.turn(now)
             except Exception as error:  # noqa: BLE001 - whatever gets here would have ended the process
@@ -175,11 +175,11 @@ def patience() -> Iterator[None]:
     a trace."""
 
     def tell(_number: int, _frame: Any) -> None:
-        raise Hangs(f"longer than {PATIENCE} s")
+        raise Hangs(f"longer than {MESSAGE_TIME} s")
 
     signal.signal(signal.SIGALRM, tell)
-    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
-    faulthandler.dump_traceback_later(3 * PATIENCE, exit=True)
+    signal.setitimer(signal.ITIMER_REAL, MESSAGE_TIME)
+    faulthandler.dump_traceback_later(3 * MESSAGE_TIME, exit=True)
     try:
         yield
     finally:
@@ -242,6 +242,6 @@ def _alone(
     """In a process of its own. A topic is known by being the same object: between processes it travels as its name."""
     faulthandler.enable()
     logging.disable(logging.CRITICAL)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     samples = {t.BY_NAME[key]: kept for key, kept in payloads.items()}
     pipe.send(fuzz(name, samples, messages, seed, fuzz_config(), Path(folder)))

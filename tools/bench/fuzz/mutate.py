@@ -12,9 +12,9 @@ from rbtrg_robot.msg import Message
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import MessageError, decode, encode
 
-FLOATS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-310, 1e38, -1e38, 5e6, -5e6, 1e9, -1.0, 1.0, 0.04)
-STAMPS = (0, -(2**31), 2**31 - 1, 1, 1_700_000_000)
-WORDS = (
+ODD_FLOATS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-310, 1e38, -1e38, 5e6, -5e6, 1e9, -1.0, 1.0, 0.04)
+ODD_STAMPS = (0, -(2**31), 2**31 - 1, 1, 1_700_000_000)
+ODD_WORDS = (
     "",
     "map",
     "odom",
@@ -104,12 +104,12 @@ class Mutator:
             return not value
         if isinstance(value, int):
             if name == "sec":
-                return int(rng.choice(STAMPS))
+                return int(rng.choice(ODD_STAMPS))
             return int(rng.choice([0, 1, 2, 7, 127, 255, 65535, 2**31 - 1, max(value - 1, 0), value + 1]))
         if isinstance(value, float):
-            return float(rng.choice(FLOATS))
+            return float(rng.choice(ODD_FLOATS))
         if isinstance(value, str):
-            return str(rng.choice(WORDS)) if rng.random() < 0.7 else value + "x"
+            return str(rng.choice(ODD_WORDS)) if rng.random() < 0.7 else value + "x"
         if isinstance(value, np.ndarray):
             return self._array(value)
         if isinstance(value, list):
@@ -127,7 +127,7 @@ class Mutator:
         some = rng.random(value.size) < rng.choice([0.01, 0.3, 1.0])
         if value.dtype.kind == "f":
             with np.errstate(over="ignore"):
-                spoilt[some] = rng.choice(FLOATS, int(some.sum()))
+                spoilt[some] = rng.choice(ODD_FLOATS, int(some.sum()))
         elif value.dtype.kind == "b":
             spoilt[some] = ~spoilt[some]
         else:

@@ -11,7 +11,7 @@ from hal.scenes.picture import GREEN, RED, WHITE, TopView
 from tools.bench.lanes.trial import Trial
 
 TRACK = (90, 200, 255)
-LEAST = 1.0
+LABEL_PERIOD = 1.0
 """[s] between two labels."""
 
 
@@ -34,9 +34,9 @@ def draw(record: Mapping[str, Any], out: Path) -> None:
     for name, (x, y, _) in scene.goals.items():
         view.disc(x, y, RED, 5)
         view.label(x, y, name)
-    last = -LEAST
+    last = -LABEL_PERIOD
     for state in record["states"]:
-        if state["t"] - last >= LEAST and (
+        if state["t"] - last >= LABEL_PERIOD and (
             state["detail"] or state["reason"] or state["state"] == "recovering"
         ):
             view.disc(state["x"], state["y"], WHITE, 4)

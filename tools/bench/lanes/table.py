@@ -19,8 +19,8 @@ REACHED = {
 }
 """Least share of goals reached on levels 1 to 3 and on level 4."""
 FALLS = {"vmc": 0.01, "policy": 0.005, "hybrid": 0.005}
-REFUSED = 0.95
-DETOUR, SLOWER = 1.3, 1.6
+REFUSED_SHARE = 0.95
+DETOUR_RATIO, TIME_RATIO = 1.3, 1.6
 """Greatest length driven over the shortest, and greatest time over the time with a prior map."""
 
 
@@ -42,7 +42,7 @@ def table(records: Iterable[Record]) -> Report:
             here = [r for r in mine if r["level"] == level]
             if level == 5:
                 refused = sum(r["outcome"] == "refused" for r in here)
-                report.rate(f"{key}.5.refused", refused, len(here), REFUSED)
+                report.rate(f"{key}.5.refused", refused, len(here), REFUSED_SHARE)
                 report.rate(f"{key}.5.tried", sum(r["tried"] for r in here), len(here), at_least=False)
             else:
                 _reached(report, f"{key}.{level}", here, hard if level == 4 else None)
@@ -61,11 +61,13 @@ def table(records: Iterable[Record]) -> Report:
             report.rate(f"{key}.1-4.failed", failed, len(told), None, at_least=False)
         got = [r for r in mine if r["outcome"] == "reached"]
         if got:
-            report.add(f"{key}.all.length", median(r["driven"] / r["shortest"] for r in got), "ratio", DETOUR)
+            report.add(
+                f"{key}.all.length", median(r["driven"] / r["shortest"] for r in got), "ratio", DETOUR_RATIO
+            )
         both = [r for r in got if (controller, r["level"], r["seed"]) in with_map]
         if how == "seen" and both:
             slower = (r["time"] / with_map[controller, r["level"], r["seed"]] for r in both)
-            report.add(f"{key}.all.time", median(slower), "ratio", SLOWER)
+            report.add(f"{key}.all.time", median(slower), "ratio", TIME_RATIO)
         report.add(f"{key}.all.wall_body", sum(r["wall_body"] for r in mine), "touches", 0.0)
         report.add(f"{key}.all.wall_wheels", sum(r["wall_wheels"] for r in mine), "touches")
         speed = sum(r["simulated"] for r in mine) / max(sum(r["cpu"] for r in mine), 1e-9)

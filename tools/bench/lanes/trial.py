@@ -23,18 +23,18 @@ from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
 from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.raised import Raised
 
-ARRIVED = 0.30
+GOAL_RADIUS = 0.30
 """Farthest true distance [m] from the goal that counts as reached."""
-FALLEN = math.radians(60.0)
-ENTERED = 0.15
+FALLEN_TILT = math.radians(60.0)
+ENTERED_WITHIN = 0.15
 """The middle of the body this close [m] to an element means that the robot tries it."""
 NEAR_WALL = 0.04
 """[m] of a contact from a wall's surface."""
-AFTER = 1.5
+WATCHED_AFTER = 1.5
 """Time [s] for which the robot is watched when its goal has ended."""
-PAUSE = 0.3
+TOUCH_PAUSE = 0.3
 """Contacts farther apart in time [s] are two touches."""
-SAMPLE = 2
+LOOK_EVERY = 2
 """Steps of 5 ms between looks at contacts and tilt."""
 REFUSALS = ("no_route", "goal_in_obstacle", "start_not_on_graph", "outside_area")
 """Reasons that say a lane cannot be driven."""
@@ -144,7 +144,7 @@ def _run(
     stack.send_goal(*goal, timeout=timeout, accept_risk=True)  # what is likely to fail is to be seen failing
     status: Any = None
     while stack.seconds < start + timeout + 10.0:
-        for _ in range(SAMPLE):
+        for _ in range(LOOK_EVERY):
             stack.step()
         status = stack.newest.get(t.GOAL_STATUS)
         watch.look(stack.seconds - start, status, stack.newest.get(t.ROBOT_STATE))
@@ -152,14 +152,14 @@ def _run(
         if status is not None and GoalState(status.state).terminal:
             break
     took = stack.seconds - start
-    for _ in range(round(AFTER / 0.005)):  # a goal ends at the first sign of a fall
+    for _ in range(round(WATCHED_AFTER / 0.005)):  # a goal ends at the first sign of a fall
         stack.step()
         watch.look(stack.seconds - start, status, stack.newest.get(t.ROBOT_STATE))
     away = math.dist(watch.place, goal[:2])
     outcome = status.state if status is not None else "not_ready"
     if watch.fell:
         outcome = "fell"
-    elif outcome == "reached" and away > ARRIVED:
+    elif outcome == "reached" and away > GOAL_RADIUS:
         outcome = "wrong_place"
     elif outcome in ("rejected", "aborted") and status.reason in REFUSALS and not watch.tried:
         outcome = "refused"
@@ -197,10 +197,10 @@ class Watch:
         x, y, z = sim.position
         tilt = math.acos(min(1.0, max(-1.0, float(sim.rotation[2, 2]))))
         self._tilt = max(self._tilt, tilt)
-        self.fell |= tilt > FALLEN or (robot is not None and robot.phase == "fault")
+        self.fell |= tilt > FALLEN_TILT or (robot is not None and robot.phase == "fault")
         if self._lane.beyond is not None:
             x0, x1, y0, y1 = self._lane.beyond
-            self.tried |= bool(x0 - ENTERED < x < x1 + ENTERED and y0 < y < y1)
+            self.tried |= bool(x0 - ENTERED_WITHIN < x < x1 + ENTERED_WITHIN and y0 < y < y1)
         step = math.dist(self.place, (x, y))
         if step > 0.02:  # a robot that stands and sways does not drive
             self._driven += step
@@ -245,7 +245,7 @@ class Watch:
             around = self._lane.floor[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
             if gap.min() < NEAR_WALL and places[k, 2] > around.max() + 0.01:
                 part = "wheels" if contacts.bodies[k].endswith("wheel") else "body"
-                self._touches[part] += now - self._touched[part] > PAUSE
+                self._touches[part] += now - self._touched[part] > TOUCH_PAUSE
                 self._touched[part] = now
 
     def record(self) -> dict[str, Any]:

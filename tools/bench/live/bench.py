@@ -29,9 +29,9 @@ from rbtrg_robot.wire.messages import stamp_of
 from tools.bench.live.stack import running
 from tools.bench.report import Report
 
-SWEEP = 100_000_000
+SWEEP_TIME = 100_000_000
 """Duration of a scan [ns]: a map update carries the stamp of its end."""
-MOVING = 0.05
+MOVING_SPEED = 0.05
 GOAL_LIMIT = 150.0
 """Seconds for one goal."""
 
@@ -72,9 +72,9 @@ class Watch:
             case t.ROBOT_STATE:
                 self.factors.append(float(message.realtime_factor))
             case t.POINTS:
-                self.scans[(stamp_of(message) + SWEEP) // SWEEP] = now
+                self.scans[(stamp_of(message) + SWEEP_TIME) // SWEEP_TIME] = now
             case t.MAP_UPDATE:
-                begun = self.scans.pop(round(stamp_of(message) / SWEEP), None)
+                begun = self.scans.pop(round(stamp_of(message) / SWEEP_TIME), None)
                 if begun is not None:
                     self.map_latency.append(now - begun)
             case t.PLAN_REQUEST:
@@ -85,7 +85,7 @@ class Watch:
                     self.plan_latency.append(now - begun)
             case t.CMD_VEL:
                 twist = message.twist
-                if not self.moved and abs(twist.linear.x) + abs(twist.angular.z) > MOVING:
+                if not self.moved and abs(twist.linear.x) + abs(twist.angular.z) > MOVING_SPEED:
                     self.moved = now
 
 

@@ -29,7 +29,7 @@ from rbtrg_robot.wire.messages import decode
 from tools.bench.outside import beside, files, foreign
 from tools.bench.report import Report
 
-SCANS = 20
+SCAN_COUNT = 20
 """Of a made-up drive."""
 
 
@@ -90,8 +90,8 @@ def _three(bag: Path, out: Path) -> bool:
 
 def _drive(report: Report, folder: Path) -> None:
     """A straight drive of known length by LiDAR alone, and with an IMU."""
-    for name, more in (("lidar_alone", []), ("lidar_imu", foreign.imu(SCANS / 10 + 0.3))):
-        bag = foreign.write(folder / f"{name}_bag", [*foreign.sweeps("hesai", SCANS), *more])
+    for name, more in (("lidar_alone", []), ("lidar_imu", foreign.imu(SCAN_COUNT / 10 + 0.3))):
+        bag = foreign.write(folder / f"{name}_bag", [*foreign.sweeps("hesai", SCAN_COUNT), *more])
         _import(bag, folder / name)
         rerun(folder / name, ["odometry", "elevation"], folder / f"{name}.mcap")
         way = of_run(folder / f"{name}.mcap")

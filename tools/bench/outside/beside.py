@@ -26,24 +26,24 @@ from tools.bench.perception.odometry import Track, drive, errors
 from tools.bench.report import Report
 from tools.odometry_study import RecordedDrive, record
 
-DATE = 1_767_225_600 * NS
+START_DATE = 1_767_225_600 * NS
 """The simulated clock of `up` begins here; that of lockstep at 0, which rko-lio takes for no stamp."""
 WITH = "rko-lio==0.4.0"
-VOXELS = (1.0, 0.25)
+VOXEL_SIDES = (1.0, 0.25)
 """rko-lio's own, and one for small scenes [m]."""
-GOALS = [(6.0, 0.0)]
+DRIVE_GOALS = [(6.0, 0.0)]
 """Ahead and left of the start [m]."""
 
 
 def compare(report: Report, folder: Path) -> None:
     """Rows `beside.*`: RPE over 1 s, CPU a scan on one thread. Raises OperatorError where rko-lio is not there."""
     _part("lio")
-    run = record(load(None, [], scene="yard", lidars=only("xt16")), GOALS)
+    run = record(load(None, [], scene="yard", lidars=only("xt16")), DRIVE_GOALS)
     report.add("beside.driven_m", run.path_length(), "m")
     tracks = drive(run, ("kiss_icp", "stock"))
     found = {"ours": tracks["kiss_icp"], "kiss_icp_stock": tracks["stock"]}
     bag = as_bag(run, folder / "beside")
-    for voxel in VOXELS:
+    for voxel in VOXEL_SIDES:
         found[f"rko_lio_{voxel:g}m"] = _rko_lio(voxel, bag)
     for name, track in found.items():
         wrong = errors(run, track)
@@ -56,16 +56,18 @@ def compare(report: Report, folder: Path) -> None:
 def as_bag(run: RecordedDrive, folder: Path) -> Path:
     """The drive as `up` would have recorded it in the profile `full`: sweeps, IMU and the LiDAR's mount."""
     mount = run.extrinsics
-    lidar = transform_msg(DATE, BASE, "lidar_main", mount.translation, rpy_quaternion(mount.rpy))
+    lidar = transform_msg(START_DATE, BASE, "lidar_main", mount.translation, rpy_quaternion(mount.rpy))
     with LogWriter(folder / "log_0.mcap", {}) as writer:
-        writer.write(t.TF_STATIC, encode(msg.TFMessage(transforms=[lidar])), DATE, DATE, 1)
+        writer.write(t.TF_STATIC, encode(msg.TFMessage(transforms=[lidar])), START_DATE, START_DATE, 1)
         for number, sample in enumerate(run.samples(), 1):
             if isinstance(sample, ImuSample):
-                message: msg.Message = imu_msg(ImuSample(sample.stamp + DATE, sample.gyro, sample.accel))
+                message: msg.Message = imu_msg(
+                    ImuSample(sample.stamp + START_DATE, sample.gyro, sample.accel)
+                )
                 topic: t.Topic = t.IMU
             elif isinstance(sample, LidarScan):
                 message, topic = (
-                    scan_msg(LidarScan(sample.stamp + DATE, sample.points, sample.name)),
+                    scan_msg(LidarScan(sample.stamp + START_DATE, sample.points, sample.name)),
                     t.POINTS,
                 )
             else:
@@ -93,7 +95,7 @@ def _rko_lio(voxel: float, bag: Path) -> Track:
         while waiting and waiting[0]["end_time_ns"] < parts["time"]:  # the IMU is ahead of the sweep
             sweep = waiting.popleft()
             odometry.register_scan(**sweep, extrinsic_lidar2base=lidar)
-            track.stamps.append(sweep["end_time_ns"] - DATE)
+            track.stamps.append(sweep["end_time_ns"] - START_DATE)
             track.poses.append(odometry.pose())
             track.cpu.append(spent + time.process_time() - start)
             spent, start = 0.0, time.process_time()

@@ -18,7 +18,7 @@ from hal.unitree.livox import encode_livox
 from rbtrg_robot import msg
 from rbtrg_robot.wire.messages import decode, encode, header
 
-START = 1_700_000_000 * NS
+START_STAMP = 1_700_000_000 * NS
 LIVOX = "livox_ros_driver2/msg/CustomMsg"
 LIVOX_TEXT = """std_msgs/Header header
 uint64 timebase
@@ -96,7 +96,7 @@ def sweeps(layout: str, count: int = 12, topic: str = "/points", frame: str = "l
     kind = LIVOX if layout == "livox custom" else msg.PointCloud2.__msgtype__
     out = []
     for k in range(count):
-        stamp = START + k * NS // 10
+        stamp = START_STAMP + k * NS // 10
         out.append((topic, kind, stamp + NS // 10, cloud(layout, room(k, 0.05 * k), stamp, frame)))
     return out
 
@@ -111,7 +111,7 @@ def imu(
     out = []
     noise = np.random.default_rng(0).normal(0.0, (1e-3,) * 3 + (1e-2,) * 3, (round(seconds * 200), 6))
     for k, (x, y, z, *shaken) in enumerate(noise.tolist()):
-        stamp = START + k * NS // 200
+        stamp = START_STAMP + k * NS // 200
         message = msg.Imu(
             header=header(stamp, frame),
             angular_velocity=msg.Vector3(x, y, z),
@@ -130,11 +130,11 @@ def static(
 ) -> Message:
     """A transform that never changes; `turn`: quaternion x, y, z, w."""
     transform = msg.TransformStamped(
-        header=header(START, parent),
+        header=header(START_STAMP, parent),
         child_frame_id=child,
         transform=msg.Transform(translation=msg.Vector3(*place), rotation=msg.Quaternion(*turn)),
     )
-    return topic, msg.TFMessage.__msgtype__, START, encode(msg.TFMessage(transforms=[transform]))
+    return topic, msg.TFMessage.__msgtype__, START_STAMP, encode(msg.TFMessage(transforms=[transform]))
 
 
 def write(path: Path, messages: Iterable[Message], kind: str = "mcap") -> Path:

@@ -19,15 +19,15 @@ from tools.bench.report import Report
 from tools.synthetic import SyntheticRun, arena_run
 from tools.synthetic_motion import Motion
 
-GAPS = (0.2, 0.9, 2.0)
+SCAN_GAPS = (0.2, 0.9, 2.0)
 """Time without scans [s]."""
-FAR = (0.85, 2.5)
+MOVED_DISTANCE = (0.85, 2.5)
 """How far the robot is moved meanwhile [m],"""
-TURNED = 0.4
+MOST_TURN = 0.4
 """and turned at most [rad]."""
-BEFORE, AFTER = 4.0, 3.0
+TIME_BEFORE, TIME_AFTER = 4.0, 3.0
 """Driven before the gap, watched behind it [s]."""
-WRONG = 0.1
+WRONG_DISTANCE = 0.1
 """A position this far off [m] is wrong."""
 
 
@@ -70,7 +70,7 @@ def trial(
         run,
         motion=Motion(kind="standstill", start=start),
         start_stamp=end + round(gap * 10) * (NS // 10),
-        duration=AFTER,
+        duration=TIME_AFTER,
     )
     resting = replace(there, start_stamp=end, duration=gap)
     for sample in resting.samples():
@@ -88,7 +88,7 @@ def trial(
         behind += take(odometry, sample)
     behind = [s for s in behind if s.stamp > there.start_stamp]
     off = [float(np.linalg.norm((to_world @ _pose(s))[:2, 3] - start[:2])) for s in behind]
-    wrong = [o > WRONG for o in off]
+    wrong = [o > WRONG_DISTANCE for o in off]
     return Moved(
         gap,
         float(np.hypot(*place[:2])),
@@ -100,19 +100,21 @@ def trial(
 
 
 def trials(count: int, seed: int = 0, params: OdometryConfig | None = None) -> Iterator[Moved]:
-    """Moved by `FAR` and `TURNED` at random within the arena's open ground, gaps in turn."""
+    """Moved by `MOVED_DISTANCE` and `MOST_TURN` at random within the arena's open ground, gaps in turn."""
     random = np.random.default_rng(seed)
-    run = replace(arena_run("xt16", duration=BEFORE, seed=seed), lidar=arena_run("xt16").lidar.decimated(2))
-    run = replace(run, caster=run.scene.caster(), motion=Motion(stop=BEFORE - 1.2))
+    run = replace(
+        arena_run("xt16", duration=TIME_BEFORE, seed=seed), lidar=arena_run("xt16").lidar.decimated(2)
+    )
+    run = replace(run, caster=run.scene.caster(), motion=Motion(stop=TIME_BEFORE - 1.2))
     samples = [s for s in run.samples() if not isinstance(s, GroundTruth)]
     here = run.truth(samples[-1].stamp)[0][0]
     for k in range(count):
         while True:
-            far, way = random.uniform(*FAR), random.uniform(-np.pi, np.pi)
-            place = far * np.cos(way), far * np.sin(way), random.uniform(-TURNED, TURNED)
+            far, way = random.uniform(*MOVED_DISTANCE), random.uniform(-np.pi, np.pi)
+            place = far * np.cos(way), far * np.sin(way), random.uniform(-MOST_TURN, MOST_TURN)
             if open_ground(run.scene, here[0] + place[0], here[1] + place[1]):
                 break
-        yield trial(run, samples, GAPS[k % len(GAPS)], place, params or OdometryConfig())
+        yield trial(run, samples, SCAN_GAPS[k % len(SCAN_GAPS)], place, params or OdometryConfig())
 
 
 def open_ground(scene: Scene, x: float, y: float) -> bool:
@@ -127,11 +129,13 @@ def rows(report: Report, count: int) -> None:
     """Rows `basin.*`: trials that end `good` in a wrong place, those that find the right one, scans mapped from a wrong
     place."""
     out = list(trials(count))
-    wrong = sum(m.health is Health.GOOD and m.off > WRONG for m in out)
+    wrong = sum(m.health is Health.GOOD and m.off > WRONG_DISTANCE for m in out)
     report.add("basin.good_while_wrong", wrong, "trials", 0.0)
     report.add("basin.good_scans_while_wrong", sum(m.good_while_wrong for m in out), "scans", 0.0)
     report.add("basin.scans_mapped_while_wrong", sum(m.mapped_while_wrong for m in out), "scans", 0.0)
-    report.rate("basin.found", sum(m.health is Health.GOOD and m.off <= WRONG for m in out), len(out))
+    report.rate(
+        "basin.found", sum(m.health is Health.GOOD and m.off <= WRONG_DISTANCE for m in out), len(out)
+    )
 
 
 def _matrix(run: SyntheticRun, stamp: int) -> np.ndarray:

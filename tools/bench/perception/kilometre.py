@@ -25,17 +25,17 @@ from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.wire.convert import map_patch, patch_msg
 from tools.bench.report import Report
 
-HEIGHT = 0.45
+TRUNK_HEIGHT = 0.45
 """Of the trunk over the ground [m]."""
-EYE = 0.55
+EYE_HEIGHT = 0.55
 """Of the LiDAR over the ground [m]."""
-WIDTH = 12.0
+STREET_WIDTH = 12.0
 """Between the walls [m]."""
-STRIDE = 0.25
+SCAN_STRIDE = 0.25
 """From scan to scan [m]."""
 PLAN_EVERY = 16
 """Scans from one look at the graph to the next."""
-CLOUDS = 20
+CLOUD_COUNT = 20
 """Made up, each with noise of its own."""
 STAGE = ElevationStageConfig()
 
@@ -47,12 +47,12 @@ def street(rng: np.random.Generator, columns: int = 900) -> NDArray[np.float32]:
     )
     ray = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], -1).reshape(-1, 3)
     with np.errstate(divide="ignore"):
-        ground = np.where(ray[:, 2] < 0.0, -EYE / ray[:, 2], np.inf)
-        wall = 0.5 * WIDTH / np.abs(ray[:, 1])
+        ground = np.where(ray[:, 2] < 0.0, -EYE_HEIGHT / ray[:, 2], np.inf)
+        wall = 0.5 * STREET_WIDTH / np.abs(ray[:, 1])
     far = np.minimum(ground, wall)
-    seen = (far < 40.0) & (ray[:, 2] * far + EYE < 2.5)
+    seen = (far < 40.0) & (ray[:, 2] * far + EYE_HEIGHT < 2.5)
     points = ray[seen] * (far[seen] + rng.normal(0.0, 0.02, seen.sum()))[:, None]
-    return (points + np.array([0.0, 0.0, EYE - HEIGHT])).astype(np.float32)
+    return (points + np.array([0.0, 0.0, EYE_HEIGHT - TRUNK_HEIGHT])).astype(np.float32)
 
 
 @dataclass(slots=True)
@@ -82,7 +82,7 @@ class Drive:
         """Scan number `k` at a pose of the street's middle line."""
         start = time.thread_time()
         turned = 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))
-        self.map.fuse(cloud, (x, y, HEIGHT), turned, (k + 1) * 10**8)
+        self.map.fuse(cloud, (x, y, TRUNK_HEIGHT), turned, (k + 1) * 10**8)
         if k % STAGE.clean_every == 0:
             self.map.clean()
         patches: list[MapPatch] = self.map.take_patches() if k % STAGE.publish_every == 1 else []
@@ -104,15 +104,15 @@ def rows(report: Report, metres: float) -> None:
     """Drive `metres`, half of them along x and half along y: cost per scan in the last tenth against the first, memory
     of each side, a save."""
     rng = np.random.default_rng(0)
-    clouds = [street(rng) for _ in range(CLOUDS)]
+    clouds = [street(rng) for _ in range(CLOUD_COUNT)]
     with tempfile.TemporaryDirectory() as folder:
         drive = Drive(Path(folder))
-        scans = int(metres / STRIDE)
+        scans = int(metres / SCAN_STRIDE)
         for k in range(scans):
-            way = k * STRIDE
+            way = k * SCAN_STRIDE
             half = 0.5 * metres
             x, y, yaw = (way, 0.0, 0.0) if way < half else (half, way - half, 0.5 * np.pi)
-            drive.take(k, clouds[k % CLOUDS], x, y, yaw)
+            drive.take(k, clouds[k % CLOUD_COUNT], x, y, yaw)
         elevation, mirror = np.max(drive.memory, axis=0)
         report.add("map_1km.metres", metres, "m")
         report.add("map_1km.cells", drive.map.store.counts()[1], "1")

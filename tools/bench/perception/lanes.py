@@ -24,23 +24,23 @@ from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import stamp_of
 from tools.bench.report import Report
 
-AHEAD = np.arange(0.4, 3.0, 0.04)
-SIDE = np.arange(-0.2, 0.21, 0.04)
+STRIP_AHEAD = np.arange(0.4, 3.0, 0.04)
+STRIP_SIDE = np.arange(-0.2, 0.21, 0.04)
 """Of the strip the body is about to drive over [m]."""
-WALL = 0.3
+WALL_HEIGHT = 0.3
 """Higher than this above the robot's ground [m] the lane ends: what is behind is not ahead."""
-FALSE = 0.10
-"""A trusted height this far above all true ground within `NEAR` [m] is ground that is not there."""
-NEAR = 0.08
-MOVED = 0.5
+FALSE_HEIGHT = 0.10
+"""A trusted height this far above all true ground within `TRUTH_RADIUS` [m] is ground that is not there."""
+TRUTH_RADIUS = 0.08
+STARTED_WAY = 0.5
 """A robot that came this far from its start has started [m]."""
-READY = 15
+READY_SCANS = 15
 """Scans in the map when the goal is sent. `up` says ready after 15 to 20, because it asks every topic for its rate; the
 lockstep host after one."""
-EVERY = 100
+LOOK_EVERY = 100
 """Lockstep steps of 5 ms between two looks at the map."""
 TRUSTED_LIMIT, FALSE_LIMIT = 95.0, 0.0
-RAY = 0.02
+RAY_SPACING = 0.02
 """Between two samples of a line of sight [m]."""
 
 
@@ -78,11 +78,11 @@ def ahead(
 
     `true` and `held`: x, y [m], yaw [rad] of the robot in the scene and where the map has it.
     """
-    d, s = np.meshgrid(AHEAD, SIDE, indexing="ij")
+    d, s = np.meshgrid(STRIP_AHEAD, STRIP_SIDE, indexing="ij")
     ground = heights(scene, *_placed(true, d, s))
-    tall = ~(ground < heights(scene, *_placed(true, np.zeros(1), np.zeros(1)))[0] + WALL)
+    tall = ~(ground < heights(scene, *_placed(true, np.zeros(1), np.zeros(1)))[0] + WALL_HEIGHT)
     wall = np.flatnonzero(tall.any(axis=1))
-    rows = wall[0] if len(wall) else len(AHEAD)
+    rows = wall[0] if len(wall) else len(STRIP_AHEAD)
     x, y = _placed(held, d[:rows], s[:rows])
     c = np.rint((x - patch.origin[0]) / patch.resolution).astype(int)
     r = np.rint((y - patch.origin[1]) / patch.resolution).astype(int)
@@ -101,7 +101,7 @@ def in_view(
 ) -> NDArray[np.bool_]:
     """Whether the straight line from `eye` (3,) to the ground at x, y [m] passes above all ground between."""
     z = heights(scene, x, y)
-    n = int(np.hypot(x - eye[0], y - eye[1]).max(initial=0.0) / RAY) + 2
+    n = int(np.hypot(x - eye[0], y - eye[1]).max(initial=0.0) / RAY_SPACING) + 2
     out = np.isfinite(z)
     for k in range(1, n):
         at = k / n
@@ -119,8 +119,8 @@ def _share(hit: NDArray[np.bool_]) -> float:
 def false_ground(scene: Scene, patch: MapPatch, true: tuple[float, ...], held: tuple[float, ...]) -> int:
     """Trusted cells that hang above all true ground around them; the map is laid onto the scene at the robot.
 
-    Cells more than `WALL` above the robot's ground do not count: a wall that is not there stops the robot, ground that
-    is not there
+    Cells more than `WALL_HEIGHT` above the robot's ground do not count: a wall that is not there stops the robot,
+    ground that is not there
     lets it fall.
     """
     r, c = np.nonzero(patch.layers["trusted"] > 0)
@@ -129,14 +129,14 @@ def false_ground(scene: Scene, patch: MapPatch, true: tuple[float, ...], held: t
     turn = true[2] - held[2]
     x = true[0] + np.cos(turn) * dx - np.sin(turn) * dy
     y = true[1] + np.sin(turn) * dx + np.cos(turn) * dy
-    steps = np.arange(-NEAR, NEAR + 1e-6, scene.resolution)
+    steps = np.arange(-TRUTH_RADIUS, TRUTH_RADIUS + 1e-6, scene.resolution)
     highest = np.full(x.shape, -np.inf)
     for a in steps:
         for b in steps:
             highest = np.fmax(highest, heights(scene, x + a, y + b))
     claimed = patch.layers["elevation"][r, c]
-    low = claimed < heights(scene, *_placed(true, np.zeros(1), np.zeros(1)))[0] + WALL
-    return int(np.count_nonzero(low & (claimed > highest + FALSE)))
+    low = claimed < heights(scene, *_placed(true, np.zeros(1), np.zeros(1)))[0] + WALL_HEIGHT
+    return int(np.count_nonzero(low & (claimed > highest + FALSE_HEIGHT)))
 
 
 def _placed(
@@ -154,7 +154,9 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
     with Lockstep(config) as stack:
         try:
             stack.wait_ready(20.0)
-            stack.run_until(lambda: stack.newest[t.MAP_STATUS].scans >= READY, 5.0, f"scan {READY}")
+            stack.run_until(
+                lambda: stack.newest[t.MAP_STATUS].scans >= READY_SCANS, 5.0, f"scan {READY_SCANS}"
+            )
         except LockstepTimeout:
             out.state = "not ready"
             return out
@@ -163,10 +165,10 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
         frame.x, frame.y, frame.yaw = x, y, yaw
         goal = next(iter(scene.goals.values()))
         begin = stack.seconds
-        truth: deque[Any] = deque([stack.newest[t.TRUTH]], maxlen=EVERY)
+        truth: deque[Any] = deque([stack.newest[t.TRUTH]], maxlen=LOOK_EVERY)
         stack.send_goal(goal[0], goal[1])
         while stack.seconds < begin + timeout:
-            for _ in range(EVERY):
+            for _ in range(LOOK_EVERY):
                 stack.step()
                 truth.append(stack.newest[t.TRUTH])
             # Once stamps of a LiDAR are shifted, the newest pose at a look is that of the sweep before: the truth of
@@ -197,7 +199,7 @@ def rows(report: Report, seeds: int, timeout: float) -> None:
     crest hides,
     cells called ground that are none, and in which lanes."""
     lanes = [drive(f"lanes:{seed}", timeout) for seed in range(seeds)]
-    report.rate("lanes.started", sum(lane.moved >= MOVED for lane in lanes), len(lanes), 1.0)
+    report.rate("lanes.started", sum(lane.moved >= STARTED_WAY for lane in lanes), len(lanes), 1.0)
     seen = [share for lane in lanes for share in lane.seen] or [0.0]
     report.add("lanes.trusted_pct", 100.0 * float(np.nanmean(seen)), "%", TRUSTED_LIMIT, at_least=True)
     lies_open = [share for lane in lanes for share in lane.open] or [0.0]

@@ -14,8 +14,8 @@ from tools.bench.report import Report
 
 LIMIT_MS = 8.0
 """Per sweep of 30,000 rays: 8 % of a core at 10 Hz."""
-STEP = NS // 200
-SWEEPS = 40
+STEP_PERIOD = NS // 200
+SWEEP_COUNT = 40
 
 
 def rows(report: Report, lidars: list[str]) -> None:
@@ -33,12 +33,12 @@ def sweep_ms(lidar: str) -> tuple[float, float]:
     spent: list[list[float]] = [[], []]
     for robot in robots:
         robot.connect()
-    for sweep in range(SWEEPS):
+    for sweep in range(SWEEP_COUNT):
         for robot, times in zip(robots, spent, strict=True):
             robot.drive(VelocityCommand(sweep * NS // 10, 0.3, 0.0, 0.0))
             start = time.thread_time()
-            for now in range(sweep * NS // 10, (sweep + 1) * NS // 10, STEP):
-                robot.read(now + STEP)
+            for now in range(sweep * NS // 10, (sweep + 1) * NS // 10, STEP_PERIOD):
+                robot.read(now + STEP_PERIOD)
             times.append(time.thread_time() - start)
     alone, both = (1e3 * float(np.median(times)) for times in spent)
     return both - alone, alone

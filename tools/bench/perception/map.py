@@ -31,9 +31,9 @@ ENGINE_LIMIT = {"xt16": 20.0, "mid360": 35.0}
 """Default engine [mm]."""
 STAGE = ElevationStageConfig()
 """How often the stack cleans up and publishes."""
-FINE = 0.02
+FINE_CELL = 0.02
 """Cell size of the error figures [m]."""
-MARGIN = 0.06
+FLAT_MARGIN = 0.06
 """Cells nearer than this to any change of the true height are edges, not flat [m]."""
 
 
@@ -122,7 +122,7 @@ class EngineMap:
     first: ScanOdometry | None = None
 
     def __post_init__(self) -> None:
-        self.mapper = Mapper(self.run, FINE)
+        self.mapper = Mapper(self.run, FINE_CELL)
 
     def take(self, scan: ScanOdometry) -> None:
         """Fuse one result of the engine."""
@@ -142,7 +142,7 @@ class EngineMap:
 def flat_rmse_mm(
     scene: Scene, patch: MapPatch, heading: float = 0.0, at: Array | None = None, mapped: Array | None = None
 ) -> float:
-    """RMS height error of trusted LiDAR cells where the true ground is level for `MARGIN` around [mm].
+    """RMS height error of trusted LiDAR cells where the true ground is level for `FLAT_MARGIN` around [mm].
 
     heading [rad], `at` (3,) in the world and `mapped` (3,) in the map: the same pose, to lay one over the other.
     """
@@ -156,7 +156,7 @@ def flat_rmse_mm(
     c, s = np.cos(heading), np.sin(heading)
     r = np.round((at[1] + s * x + c * y - scene.origin[1]) / scene.resolution).astype(int)
     k = np.round((at[0] + c * x - s * y - scene.origin[0]) / scene.resolution).astype(int)
-    n = round(MARGIN / scene.resolution)
+    n = round(FLAT_MARGIN / scene.resolution)
     rows, cols = scene.height.shape
     inside = (r >= n) & (r < rows - n) & (k >= n) & (k < cols - n)
     r, k = r[inside], k[inside]
@@ -170,7 +170,7 @@ def rows(report: Report, lidars: list[str], seconds: float, seed: int) -> None:
     """Rows of the map on true poses: `map_rmse_mm.LIDAR.truth`, CPU, `cleared_s`, `seen.FEATURE`."""
     for lidar in lidars:
         run = arena_run(lidar, seed=seed, duration=seconds)
-        fine = Mapper(run, FINE)
+        fine = Mapper(run, FINE_CELL)
         for scan in registered(run):
             fine.take(scan)
         rmse = flat_rmse_mm(run.scene, fine.map.full())

@@ -18,9 +18,9 @@ from tools.bench.perception.odometry import Errors, Track, errors, matrix
 from tools.bench.perception.offset import delayed, driven, two_lidars
 from tools.bench.report import Report
 
-DRAWS = 3
+SIGN_DRAWS = 3
 """Of signs of the errors of 1 deg and 1 cm."""
-LATE = 0.015
+STAMP_DELAY = 0.015
 """Of the main LiDAR's stamps, for the calibration [s]."""
 TOLD_SECONDS = 8.0
 """Driven until a mount that is off by 2 deg or 2 cm must have been told."""
@@ -80,11 +80,11 @@ def rows(report: Report, seconds: float, seed: int) -> None:
     report.add("mounts.right.alarms", alarms, "scans", 0.0)
     random = np.random.default_rng(seed)
     costs, turns, places, clocks = [], [], [], []
-    for _ in range(DRAWS):
+    for _ in range(SIGN_DRAWS):
         mounts = draw(random, 1.0, 0.01)
         costs.append(cost(mounts))
         lidars = [MountedLidar(name, MOUNTS[name][0], mount) for name, mount in mounts.items()]
-        late: dict[LidarName, float] = {"main": LATE, "head": 0.0}
+        late: dict[LidarName, float] = {"main": STAMP_DELAY, "head": 0.0}
         for found in calibrate([delayed(s, late) for s in samples], lidars, OdometryConfig())[0]:
             got, wanted = found.lidar.mount, MOUNTS[found.lidar.name][1]
             turns.append(

@@ -17,7 +17,7 @@ from tools.synthetic import SyntheticRun, arena_run
 
 Measured = ImuSample | JointSample | LidarScan
 S = TypeVar("S", bound=Measured)
-OFFSETS = (0, 10, 20, 30, -10)
+STAMP_OFFSETS = (0, 10, 20, 30, -10)
 """Of the main LiDAR [ms]; the head's are the opposite."""
 FOUND_LIMIT = {"main": 1.0, "head": 3.0}
 """Error of what is found at the end [ms]."""
@@ -57,7 +57,7 @@ def rows(report: Report, seconds: float, seed: int) -> None:
     """Rows `offset_ms.*`; the baseline of a motion is that without the correction."""
     run, samples = two_lidars(seconds, seed)
     mounts: dict[LidarName, Extrinsics] = {"main": run.extrinsics, "head": LIDARS["l1"].mount}
-    for offset in OFFSETS:
+    for offset in STAMP_OFFSETS:
         late: dict[LidarName, float] = {"main": 1e-3 * offset, "head": -1e-3 * offset}
         motion: list[float] = []
         found: dict[LidarName, float] = {}

@@ -23,13 +23,13 @@ from tools.bench.report import Report
 
 SIGHTS = "field", "field_wall", "field_posts"
 CROWDS = "field", "field_posts"
-WAY, SPEED = 5.0, 0.5
+OPEN_WAY, OPEN_SPEED = 5.0, 0.5
 """Driven straight on open ground [m, m/s]."""
-REST = 1.5
+REST_TIME = 1.5
 """Standing before that [s]."""
-SECONDS = 12.0
+CROWD_SECONDS = 12.0
 """In a crowd [s]."""
-TICK = NS // 200
+TICK_PERIOD = NS // 200
 LIDAR_STEP = 4
 YAW_LIMIT, WAY_LIMIT = 2.0, 0.5
 """After the way [deg], [% of it]."""
@@ -50,17 +50,19 @@ class Off:
 
 
 def drive(scene: str, seed: int, seconds: float, *, way: float, people: int = 0) -> Off:
-    """Odometry on a robot that stands for `REST` [s] and then drives `way` [m], for `seconds` in all."""
+    """Odometry on a robot that stands for `REST_TIME` [s] and then drives `way` [m], for `seconds` in all."""
     robot = MujocoBackend(load_scene(scene), seed=seed, lidar_step=LIDAR_STEP, people=people)
     odometry = LidarInertialOdometry(mounts={lidar.name: lidar.mount for lidar in robot.capabilities.lidars})
     odometry.warm_up()
     robot.connect()
     truths: list[GroundTruth] = []
     scans: list[ScanOdometry] = []
-    for k in range(1, round(seconds * NS / TICK) + 1):
-        t = k * TICK / NS - REST
-        robot.drive(VelocityCommand(k * TICK, SPEED if 0.0 <= t < way / SPEED else 0.0, 0.0, 0.0))
-        for sample in robot.read(k * TICK):
+    for k in range(1, round(seconds * NS / TICK_PERIOD) + 1):
+        t = k * TICK_PERIOD / NS - REST_TIME
+        robot.drive(
+            VelocityCommand(k * TICK_PERIOD, OPEN_SPEED if 0.0 <= t < way / OPEN_SPEED else 0.0, 0.0, 0.0)
+        )
+        for sample in robot.read(k * TICK_PERIOD):
             if isinstance(sample, GroundTruth):
                 truths.append(sample)
             scans += take(odometry, sample)
@@ -96,7 +98,7 @@ def people_of(seed: int) -> int:
 
 def rows(report: Report, seeds: int, records: Records) -> None:
     """Rows of this part: `seeds` runs of each kind; those that stand in `records` are not driven again."""
-    seconds = REST + WAY / SPEED + 0.5
+    seconds = REST_TIME + OPEN_WAY / OPEN_SPEED + 0.5
 
     def runs(kind: str, scene: str, seconds: float, way: float, *, crowd: bool) -> list[Off]:
         return [
@@ -107,18 +109,18 @@ def rows(report: Report, seeds: int, records: Records) -> None:
         ]
 
     for scene in SIGHTS:
-        seen = runs("open", scene, seconds, WAY, crowd=False)
+        seen = runs("open", scene, seconds, OPEN_WAY, crowd=False)
         report.add(f"open.{scene}.yaw_deg", max(r.degrees for r in seen), "deg", YAW_LIMIT)
-        report.add(f"open.{scene}.way_pct", 100.0 * max(r.metres for r in seen) / WAY, "%", WAY_LIMIT)
-        good = sum(r.degrees <= YAW_LIMIT and 100.0 * r.metres <= WAY_LIMIT * WAY for r in seen)
+        report.add(f"open.{scene}.way_pct", 100.0 * max(r.metres for r in seen) / OPEN_WAY, "%", WAY_LIMIT)
+        good = sum(r.degrees <= YAW_LIMIT and 100.0 * r.metres <= WAY_LIMIT * OPEN_WAY for r in seen)
         report.rate(f"open.{scene}.held", good, len(seen))
     for scene in CROWDS:
-        stood = runs("standing", scene, SECONDS, 0.0, crowd=True)
+        stood = runs("standing", scene, CROWD_SECONDS, 0.0, crowd=True)
         report.add(f"crowd.{scene}.standing_m", max(r.worst_m for r in stood), "m", STANDING_LIMIT)
         report.add(f"crowd.{scene}.standing_deg", max(r.worst_deg for r in stood), "deg", STANDING_DEG_LIMIT)
         good = sum(r.worst_m <= STANDING_LIMIT and r.worst_deg <= STANDING_DEG_LIMIT for r in stood)
         report.rate(f"crowd.{scene}.stood", good, len(stood))
-        driven = runs("driving", scene, seconds, WAY, crowd=True)
+        driven = runs("driving", scene, seconds, OPEN_WAY, crowd=True)
         report.add(f"crowd.{scene}.driving_m", max(r.metres for r in driven), "m", DRIVING_LIMIT)
         report.rate(f"crowd.{scene}.drove", sum(r.metres <= DRIVING_LIMIT for r in driven), len(driven))
 

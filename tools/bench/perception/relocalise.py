@@ -32,27 +32,27 @@ from mapping.relocalise import Place, PriorMap, Submap, Verdict, locate
 from tools.bench.report import Report
 
 SCENES = ("yard", "maze", "rescue_slopes", "rescue_platform", "rescue_steps")
-WHEELS = np.array([[0.25, 0.2], [0.25, -0.2], [-0.25, 0.2], [-0.25, -0.2]])
+WHEEL_PLACES = np.array([[0.25, 0.2], [0.25, -0.2], [-0.25, 0.2], [-0.25, -0.2]])
 """Under which the ground must carry [m]."""
 UNDER = np.array([(a, b) for a in np.arange(-0.4, 0.41, 0.08) for b in np.arange(-0.26, 0.27, 0.04)])
 """The body and a little more [m]."""
-ROOM = 0.2
+BODY_ROOM = 0.2
 """Nothing beneath it may be higher than this [m]."""
-UNEVEN, STEEP, CLIMB = 0.03, math.radians(20.0), 0.15
+MOST_UNEVEN, MOST_SLOPE, MOST_CLIMB = 0.03, math.radians(20.0), 0.15
 """[m], [rad], and [m] between neighbouring places."""
-GRID, TOUR = 0.2, 1.0
+GRID_SPACING, TOUR_SPACING = 0.2, 1.0
 """Places that are tried, and places from which the map is made [m] apart."""
 GROUND_A_BOX = 12.0
 """Of reachable ground there is a box on so many m^2. They stand elsewhere when the robot comes back."""
-ERRORS = (0.01, math.radians(0.2))
+POSE_ERRORS = (0.01, math.radians(0.2))
 """Of the poses on the tour [m], [rad], and of the level in both [rad]."""
-WAY = (1.0, 2.0)
+LOOK_SPACING = (1.0, 2.0)
 """From one look to the next [m]."""
-LOOKS = 3
+MOST_LOOKS = 3
 """At most."""
-SWEEPS = 3
+SWEEP_COUNT = 3
 """Of each LiDAR at a place."""
-CORRECT = (0.1, 2.0)
+CORRECT_WITHIN = (0.1, 2.0)
 """[m], [deg]"""
 RIGHT_LIMIT, SECONDS_LIMIT = 0.95, 5.0
 HEIGHT = stand_height(STAND)
@@ -69,15 +69,15 @@ class World:
     def stance(self, x: float, y: float, yaw: float) -> Array | None:
         """(4, 4) pose of base_link standing there; None where it cannot."""
         c, s = math.cos(yaw), math.sin(yaw)
-        at = WHEELS @ np.array([[c, s], [-s, c]]) + (x, y)
+        at = WHEEL_PLACES @ np.array([[c, s], [-s, c]]) + (x, y)
         if not all(self.scene.contains(*w) for w in at):
             return None
         z = np.array([self.scene.z(*w) for w in at])
-        plane, *_ = np.linalg.lstsq(np.column_stack([WHEELS, np.ones(4)]), z, rcond=None)
+        plane, *_ = np.linalg.lstsq(np.column_stack([WHEEL_PLACES, np.ones(4)]), z, rcond=None)
         under = UNDER @ np.array([[c, s], [-s, c]]) + (x, y)
         tops = [self.scene.z(*w) - plane @ (*u, 1.0) for u, w in zip(UNDER, under, strict=True)]
-        flat = np.abs(np.column_stack([WHEELS, np.ones(4)]) @ plane - z).max() < UNEVEN
-        if not flat or math.hypot(*plane[:2]) > math.tan(STEEP) or max(tops) > ROOM:
+        flat = np.abs(np.column_stack([WHEEL_PLACES, np.ones(4)]) @ plane - z).max() < MOST_UNEVEN
+        if not flat or math.hypot(*plane[:2]) > math.tan(MOST_SLOPE) or max(tops) > BODY_ROOM:
             return None
         pose = np.eye(4)
         pose[:3, :3] = rotation_rpy(math.atan(plane[1]), -math.atan(plane[0]), yaw)
@@ -93,7 +93,7 @@ class World:
             i, j = queue.pop()
             if (i, j) in seen:
                 continue
-            x, y = x0 + i * GRID, y0 + j * GRID
+            x, y = x0 + i * GRID_SPACING, y0 + j * GRID_SPACING
             if not self.scene.contains(x, y) or not any(
                 self.stance(x, y, yaw) is not None for yaw in (0.0, 0.8, 1.6, 2.4)
             ):
@@ -101,15 +101,19 @@ class World:
             z = seen[i, j] = self.scene.z(x, y)
             self.places.append((x, y))
             for a, b in ((i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)):
-                near = x0 + a * GRID, y0 + b * GRID
-                if (a, b) not in seen and self.scene.contains(*near) and abs(self.scene.z(*near) - z) < CLIMB:
+                near = x0 + a * GRID_SPACING, y0 + b * GRID_SPACING
+                if (
+                    (a, b) not in seen
+                    and self.scene.contains(*near)
+                    and abs(self.scene.z(*near) - z) < MOST_CLIMB
+                ):
                     queue.append((a, b))
 
     def anywhere(self, boxes: tuple[OrientedBox, ...], near: Array | None = None) -> Array:
-        """A random pose off the boxes; `near` a pose: where the robot comes from there by `WAY`."""
+        """A random pose off the boxes; `near` a pose: where the robot comes from there by `LOOK_SPACING`."""
         places = self.places
         if near is not None:
-            places = [p for p in places if WAY[0] < math.dist(p, near[:2, 3]) < WAY[1]]
+            places = [p for p in places if LOOK_SPACING[0] < math.dist(p, near[:2, 3]) < LOOK_SPACING[1]]
         for _ in range(10_000):
             x, y = places[int(self.random.integers(len(places)))]
             x, y = x + self.random.uniform(-0.1, 0.1), y + self.random.uniform(-0.1, 0.1)
@@ -121,7 +125,7 @@ class World:
     def boxes(self) -> tuple[OrientedBox, ...]:
         """Boxes at random places."""
         out = []
-        for _ in range(max(2, round(len(self.places) * GRID**2 / GROUND_A_BOX))):
+        for _ in range(max(2, round(len(self.places) * GRID_SPACING**2 / GROUND_A_BOX))):
             x, y = self.places[int(self.random.integers(len(self.places)))]
             size = self.random.uniform(0.3, 0.7, 3)
             z = self.scene.z(x, y) + 0.5 * size[2]
@@ -129,10 +133,10 @@ class World:
         return tuple(out)
 
     def tour(self) -> list[Array]:
-        """Poses about `TOUR` apart that cover all places."""
+        """Poses about `TOUR_SPACING` apart that cover all places."""
         chosen: list[Array] = []
         for x, y in self.places:
-            if all(math.dist((x, y), pose[:2, 3]) > TOUR for pose in chosen):
+            if all(math.dist((x, y), pose[:2, 3]) > TOUR_SPACING for pose in chosen):
                 yaws = self.random.uniform(-math.pi, math.pi, 8)
                 standing = (self.stance(x, y, yaw) for yaw in yaws)
                 chosen += [pose for pose in standing if pose is not None][:1]
@@ -180,8 +184,8 @@ def survey(world: World, eyes: Eyes, boxes: tuple[OrientedBox, ...]) -> Elevatio
     """The map of a tour."""
     made = ElevationMap()
     for k, pose in enumerate(world.tour()):
-        held = off(pose, world.random, *ERRORS)
-        for n in range(SWEEPS):
+        held = off(pose, world.random, *POSE_ERRORS)
+        for n in range(SWEEP_COUNT):
             for sensor, points in eyes.look(pose, boxes):
                 stamp = 10**9 * (2 * k + 1) + n * 10**8
                 made.fuse(points, held[:3, 3], quaternion(held[:3, :3]), stamp, sensor)
@@ -197,9 +201,9 @@ def look(world: World, eyes: Eyes, submap: Submap, pose: Array, boxes: tuple[Ori
     odom = np.eye(4)
     odom[:3, :3] = rotation_rpy(0.0, 0.0, 0.3)
     odom[:3, 3] = 2.0, -1.0, 0.1
-    held = odom @ off(pose, world.random, *ERRORS)
+    held = odom @ off(pose, world.random, *POSE_ERRORS)
     submap.stand()
-    for _ in range(SWEEPS):
+    for _ in range(SWEEP_COUNT):
         for sensor, points in eyes.look(pose, boxes):
             submap.add(points, held[:3, 3], quaternion(held[:3, :3]), sensor.origin, HEIGHT)
 
@@ -258,7 +262,7 @@ class Tally:
     def take(self, verdict: Verdict, pose: Array, looks: int) -> None:
         """Judge the last answer."""
         hits = [_off(c.place, pose) for c in verdict.candidates]
-        hit = [x < CORRECT[0] and turn < CORRECT[1] for x, turn in hits]
+        hit = [x < CORRECT_WITHIN[0] and turn < CORRECT_WITHIN[1] for x, turn in hits]
         if verdict.answer == "located" and hit[0]:
             self.right.append(looks)
             self.errors.append(hits[0])
@@ -291,7 +295,7 @@ def drive(name: str, poses: int, seed: int) -> Tally:
         pose, submap = world.anywhere(boxes), Submap()
         verdict = Verdict("not_found")
         looks = 0
-        for looks in range(1, LOOKS + 1):
+        for looks in range(1, MOST_LOOKS + 1):
             look(world, eyes, submap, pose, boxes)
             if looks == 1:
                 begin = time.process_time()
@@ -299,11 +303,11 @@ def drive(name: str, poses: int, seed: int) -> Tally:
                 tally.fpfh_seconds.append(time.process_time() - begin)
                 yaw = math.atan2(found[1, 0], found[0, 0])
                 x, turn = _off(Place(found[0, 3], found[1, 3], found[2, 3], yaw, 0.0), pose)
-                tally.fpfh_right += x < CORRECT[0] and turn < CORRECT[1]
+                tally.fpfh_right += x < CORRECT_WITHIN[0] and turn < CORRECT_WITHIN[1]
             begin = time.process_time()
             verdict = locate(prior, submap)
             tally.seconds.append(time.process_time() - begin)
-            if verdict.answer == "located" or looks == LOOKS:
+            if verdict.answer == "located" or looks == MOST_LOOKS:
                 break
             pose = world.anywhere(boxes, near=pose)
         tally.take(verdict, pose, looks)

@@ -34,7 +34,7 @@ from tools.bench.planning.worlds import dense_map, mountain_map, rough_terrain
 from tools.bench.report import Report
 
 ROOT = Path(__file__).resolve().parents[3]
-LARGE = 100.0
+LARGE_SIDE = 100.0
 """Side of the large map [m]."""
 
 
@@ -57,7 +57,7 @@ def _update_ms(report: Report) -> None:
     side = round(np.sqrt(0.02) * grid.shape[0])
     height = grid.height.copy()
     times = []
-    for _ in range(query.UPDATES):
+    for _ in range(query.UPDATE_COUNT):
         r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
         height = height.copy()
         height[r : r + side, c : c + side] = grid.height[r : r + side, c : c + side] + rng.uniform(-0.3, 0.3)
@@ -95,7 +95,7 @@ print((kilobytes("VmHWM") - before) * 1024 / 1e6)
 
 
 def _large(report: Report, baseline: float) -> RiskTable:
-    grid = rough_terrain(LARGE, 0.05, 3)
+    grid = rough_terrain(LARGE_SIDE, 0.05, 3)
     small = rough_terrain(5.0, 0.05, 3)
     RiskTable(TraversalGraph.build(small, (1.0, 1.0)), small, BodyModel()).evaluate_edges()
     start = time.thread_time()

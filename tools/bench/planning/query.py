@@ -38,7 +38,7 @@ from tools.bench.planning.worlds import dense_map
 from tools.bench.report import Report
 
 BODY = BodyModel()
-PAIRS, UPDATES = 200, 60
+PAIR_COUNT, UPDATE_COUNT = 200, 60
 
 
 def partly_unseen(grid: ElevationGrid) -> ElevationGrid:
@@ -69,7 +69,7 @@ def _pairs(nodes: int) -> list[PlanRequest]:
     """Random start-goal pairs among so many nodes."""
     rng = np.random.default_rng(7)
     out: list[PlanRequest] = []
-    while len(out) < PAIRS:
+    while len(out) < PAIR_COUNT:
         a, b = (int(v) for v in rng.integers(0, nodes, 2))
         if a != b:
             out.append(PlanRequest(a, b))
@@ -86,7 +86,7 @@ def _replan(report: Report) -> None:
     table = RiskTable(graph, grid, BODY)
     fresh, carried = [], []
     level, raised = grid.height, (0, 0, 0, 0)
-    for _ in range(UPDATES):
+    for _ in range(UPDATE_COUNT):
         r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
         height = (
             level.copy()

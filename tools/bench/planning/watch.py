@@ -22,16 +22,16 @@ from tools.bench.planning.worlds import rough_terrain
 from tools.bench.report import Report
 
 BODY = BodyModel()
-WORLDS, PATHS, AGAIN = 6, 25, 5
+WORLD_COUNT, PATH_COUNT, REPEAT_COUNT = 6, 25, 5
 """Maps, paths on each, maps of unchanged ground for each path."""
-SIZE, RESOLUTION, NOISE = 12.0, 0.05, 0.005
+WORLD_SIDE, CELL_SIDE, HEIGHT_NOISE = 12.0, 0.05, 0.005
 """[m]"""
-BOX = 0.45
+BOX_HEIGHT = 0.45
 """[m]"""
 
 
 def _noisy(grid: ElevationGrid, rng: np.random.Generator) -> ElevationGrid:
-    height = (grid.height + rng.normal(0.0, NOISE, grid.shape)).astype(np.float32)
+    height = (grid.height + rng.normal(0.0, HEIGHT_NOISE, grid.shape)).astype(np.float32)
     return ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
 
 
@@ -40,8 +40,8 @@ def _paths(grid: ElevationGrid, rng: np.random.Generator) -> list[Path]:
     graph = TraversalGraph.build(grid, (1.0, 1.0))
     table = RiskTable(graph, grid, BODY)
     found: list[Path] = []
-    while len(found) < PATHS:
-        a, b = rng.uniform(0.5, SIZE - 0.5, (2, 2))
+    while len(found) < PATH_COUNT:
+        a, b = rng.uniform(0.5, WORLD_SIDE - 0.5, (2, 2))
         if np.hypot(*(a - b)) < 3.0:
             continue
         try:
@@ -59,24 +59,24 @@ def _boxed(grid: ElevationGrid, path: Path, rng: np.random.Generator) -> Elevati
     x = path.points[i, 0] - side * np.sin(path.yaw[i])
     y = path.points[i, 1] + side * np.cos(path.yaw[i])
     rows, cols = grid.shape
-    on = np.abs(grid.origin[0] + np.arange(cols) * RESOLUTION - x) < w
-    on = on & (np.abs(grid.origin[1] + np.arange(rows) * RESOLUTION - y) < h)[:, None]
-    height = np.where(on, grid.height[on].max() + BOX, grid.height)
+    on = np.abs(grid.origin[0] + np.arange(cols) * CELL_SIDE - x) < w
+    on = on & (np.abs(grid.origin[1] + np.arange(rows) * CELL_SIDE - y) < h)[:, None]
+    height = np.where(on, grid.height[on].max() + BOX_HEIGHT, grid.height)
     return ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
 
 
 def rows(report: Report) -> None:
     """Add the rows."""
     missed = alarms = walls = 0
-    for world in range(WORLDS):
-        ground = rough_terrain(SIZE, RESOLUTION, 100 + world, rocks_per_m2=0.3)
+    for world in range(WORLD_COUNT):
+        ground = rough_terrain(WORLD_SIDE, CELL_SIDE, 100 + world, rocks_per_m2=0.3)
         rng = np.random.default_rng(world)
         seen = _noisy(ground, rng)
         for path in _paths(seen, rng):
             walls += bool(path.faces.max() > path.limits.max_step)
             missed += not face_in_the_way(path, _noisy(_boxed(seen, path, rng), rng), BODY)
-            alarms += sum(bool(face_in_the_way(path, _noisy(ground, rng), BODY)) for _ in range(AGAIN))
-    count = WORLDS * PATHS
+            alarms += sum(bool(face_in_the_way(path, _noisy(ground, rng), BODY)) for _ in range(REPEAT_COUNT))
+    count = WORLD_COUNT * PATH_COUNT
     report.add("watch.missed", missed, f"of {count} boxes", limit=0.0)
-    report.add("watch.false_alarms", alarms / (count * AGAIN), "of maps", limit=0.01)
+    report.add("watch.false_alarms", alarms / (count * REPEAT_COUNT), "of maps", limit=0.01)
     report.add("watch.passes_walls", walls / count, "of paths")

@@ -20,7 +20,7 @@ from tools.bench.static.study import (
 )
 
 HEAD = ("length [m]", "max d_fb [m]", "max a_lr [deg]", "max p_int [m]", "untrusted [%]")
-SCALE = (1.0, 1.0, 1.0, 1.0, 100.0)
+COLUMN_SCALE = (1.0, 1.0, 1.0, 1.0, 100.0)
 
 
 def markdown(instances: Sequence[Instance], missing: Sequence[str]) -> str:
@@ -40,7 +40,7 @@ def markdown(instances: Sequence[Instance], missing: Sequence[str]) -> str:
         ]
         lines += ["| variant | " + " | ".join(HEAD) + " | changed routes |", "|---" * 7 + "|"]
         for variant in VARIANTS:
-            mean = macro(values(instances, graph, variant)) * SCALE
+            mean = macro(values(instances, graph, variant)) * COLUMN_SCALE
             share = "" if variant == "native" else f"{100 * changed(instances, graph, variant):.0f} %"
             lines.append(f"| {variant} | " + " | ".join(f"{v:.3f}" for v in mean) + f" | {share} |")
         lines += ["", _room(instances, graph)]
@@ -102,16 +102,16 @@ def _room(instances: Sequence[Instance], graph: str) -> str:
     )
 
 
-THROUGH = 0.5
+THROUGH_HEIGHT = 0.5
 """Interference from which a route has a wall under the body [m]: the graph's height threshold."""
 
 
 def _through(instances: Sequence[Instance], graph: str) -> str:
     """How many native routes cross or graze something as high as a wall, and the change without those."""
     mine = [i for i in instances if (i.graph, i.variant) == (graph, "native")]
-    walls = {(i.scene, i.seed, i.pair) for i in mine if i.p_int > THROUGH}
+    walls = {(i.scene, i.seed, i.pair) for i in mine if i.p_int > THROUGH_HEIGHT}
     text = (
-        f"On {len(walls)} of {len(mine)} instances the native route has something over {THROUGH} m high "
+        f"On {len(walls)} of {len(mine)} instances the native route has something over {THROUGH_HEIGHT} m high "
         "under the body"
     )
     others = [i for i in instances if (i.scene, i.seed, i.pair) not in walls]

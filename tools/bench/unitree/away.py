@@ -13,7 +13,7 @@ from tests.hal.unitree.peer_process import PeerProcess
 from tools.bench.report import Report
 from tools.bench.unitree.stack import ENDED, Stack, running_stack
 
-GONE = 3.5
+GONE_TIME = 3.5
 """[s] after which the robot comes back; a goal waits for 3 s."""
 WORDS = "no LowState for "
 
@@ -31,7 +31,7 @@ def run(report: Report) -> None:
             report.add("unitree.away.told_s", stack.until(_away, 5.0, "`disconnected`"), "s", 0.6)
             stack.until(_goal_ended, 10.0, "the end of the goal")
             report.add("unitree.away.goal_ended_s", time.monotonic() - gone, "s", 5.0)
-            time.sleep(max(0.0, gone + GONE - time.monotonic()))
+            time.sleep(max(0.0, gone + GONE_TIME - time.monotonic()))
             where = [str(place[name]) for name in ("x", "y", "yaw")]
             stack.peer = peer = PeerProcess(domain, "--body", "mujoco", "--start", *where)
             report.add("unitree.back.usable_s", stack.until(_usable, 20.0, "a usable robot"), "s", 5.0)

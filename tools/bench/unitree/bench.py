@@ -20,7 +20,7 @@ from tools.bench.unitree.away import run as away
 from tools.bench.unitree.deaths import DEATHS
 from tools.bench.unitree.deaths import run as deaths
 
-POINTS = 20_000
+POINT_COUNT = 20_000
 L1_POINT = np.dtype(
     {
         "names": ["x", "y", "z", "intensity", "ring", "time"],
@@ -38,10 +38,10 @@ def _best(call, number: int, repeat: int = 9) -> float:  # type: ignore[no-untyp
 
 def _cloud() -> bytes:
     rng = np.random.default_rng(0)
-    points = np.zeros(POINTS, L1_POINT)
+    points = np.zeros(POINT_COUNT, L1_POINT)
     for axis in "xyz":
-        points[axis] = rng.normal(scale=4.0, size=POINTS)
-    points["time"] = np.linspace(0.0, 0.1, POINTS)
+        points[axis] = rng.normal(scale=4.0, size=POINT_COUNT)
+    points["time"] = np.linspace(0.0, 0.1, POINT_COUNT)
     return cloud.encode_cloud(1_700_000_000 * NS, "utlidar_lidar", points)
 
 

@@ -25,7 +25,7 @@ STACKS = ("up", "host", "cable")
 """Deaths of more than a process: the supervisor; every process at once; the same, seen from a robot whose cable is
 cut."""
 DEATHS = (*PROCESSES, *STACKS)
-LIMIT = 0.5
+REST_LIMIT = 0.5
 
 
 def run(report: Report, deaths: list[str], trials: int) -> None:
@@ -59,7 +59,7 @@ def run(report: Report, deaths: list[str], trials: int) -> None:
     finally:
         peer.end()
     for name in deaths:
-        report.add(f"unitree.rest_s.{name}", max(rest[name]), "s", LIMIT, alone.get(name))
+        report.add(f"unitree.rest_s.{name}", max(rest[name]), "s", REST_LIMIT, alone.get(name))
         report.add(f"unitree.speed_at_death.{name}", min(speed[name]), "m/s")
     if gaps:
         report.add("unitree.move_rate", 1.0 / float(np.mean(gaps)), "Hz", 20.0, at_least=True)

@@ -24,10 +24,10 @@ from rbtrg_robot.wire.bus import Bus
 from tests.hal.unitree.peer_process import PeerProcess
 from tools.bench.ports import free_port
 
-CRUISE = 0.45
-"""[m/s] for `STEADY` [s]; the stack drives 0.5 m/s."""
-STEADY = 0.3
-AHEAD = 3.0
+CRUISE_SPEED = 0.45
+"""[m/s] for `STEADY_TIME` [s]; the stack drives 0.5 m/s."""
+STEADY_TIME = 0.3
+GOAL_DISTANCE = 3.0
 """Goals lie this far on the other side of the origin [m]."""
 ENDED = ("reached", "rejected", "aborted")
 
@@ -49,9 +49,9 @@ class Stack:
         end = time.monotonic() + 40.0
         since, due = math.inf, 0.0
         goal: Any = None
-        while not time.monotonic() - since > STEADY:
+        while not time.monotonic() - since > STEADY_TIME:
             now = time.monotonic()
-            since = min(since, now) if self.peer.last["v"] > CRUISE else math.inf
+            since = min(since, now) if self.peer.last["v"] > CRUISE_SPEED else math.inf
             if now > end:
                 raise SystemExit(f"the robot did not drive: {self.status()['robot']}")
             if now > due:
@@ -66,7 +66,7 @@ class Stack:
     def _goal(self) -> Any:
         """To the other side of the origin, in this stack's map, which begins where the robot stood."""
         x, y, yaw = self._start
-        self.target = (AHEAD if self.peer.last["x"] < 0.0 else -AHEAD, 0.0)
+        self.target = (GOAL_DISTANCE if self.peer.last["x"] < 0.0 else -GOAL_DISTANCE, 0.0)
         dx = self.target[0] - x
         self._count += 1
         to = (dx * math.cos(yaw) - y * math.sin(yaw), -y * math.cos(yaw) - dx * math.sin(yaw))

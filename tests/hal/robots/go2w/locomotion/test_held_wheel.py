@@ -29,7 +29,7 @@ from hal.robots.go2w.locomotion.memory import MEMORY
 from hal.robots.go2w.locomotion.params import RECORD, VmcParams
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.types import PostureCommand, VelocityCommand
-from tools.bench.envelope.lane import WAYS, through_lane
+from tools.bench.envelope.lane import WEAVE_WAYS, through_lane
 
 FL_THIGH, FR_WHEEL, FL_WHEEL, RL = 4, 12, 13, 3
 DT = 0.005
@@ -158,7 +158,7 @@ def test_on_flat_ground_no_wheel_counts_as_blocked_whatever_is_commanded(frictio
 
 
 def test_the_kerbs_of_a_lane_are_crossed_askew_without_tipping() -> None:
-    end = through_lane(VmcController(), 112, "kerbs", WAYS[0])
+    end = through_lane(VmcController(), 112, "kerbs", WEAVE_WAYS[0])
     assert end.passed
     assert end.tilt < 35.0
 

@@ -36,7 +36,7 @@ from hal.robots.go2w.locomotion.weights import load_weights, save_weights
 from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.cliff import creep_to_edge
 from tools.bench.envelope.driving import hold_on_slope
-from tools.bench.envelope.terrain import RESOLUTION, course
+from tools.bench.envelope.terrain import CELL_SIDE, course
 from tools.bench.envelope.trial import drive
 from tools.train.settings import PARAMS
 
@@ -53,7 +53,7 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def on(name: str, friction: float = 0.8) -> Simulation:
     ground = course(name, 0)
-    sim = Simulation(ground.height, RESOLUTION, ground.origin, friction=friction)
+    sim = Simulation(ground.height, CELL_SIDE, ground.origin, friction=friction)
     sim.reset(0.0, 0.0, 0.0)
     return sim
 

@@ -29,7 +29,7 @@ from hal.wheel_force import inverse3
 from tools.bench.envelope.cliff import creep_to_edge
 from tools.bench.envelope.driving import stopping_time
 from tools.bench.envelope.trial import Conditions, drive
-from tools.bench.envelope.turning import CURVES, CURVING, turn_on_bar, turn_on_ramp
+from tools.bench.envelope.turning import CURVE_COMMANDS, CURVING_TIME, turn_on_bar, turn_on_ramp
 
 
 def campaign(*values: float | str) -> Any:
@@ -290,8 +290,8 @@ def test_turning_astride_a_bar_does_not_tip_it(height: float, at: float, angle: 
 
 @pytest.mark.parametrize(("at", "angle"), [campaign(0.0, 0.785), (0.0, 1.3), campaign(-0.2, 0.0)])
 def test_driving_off_a_bar_in_a_curve_does_not_tip_it(at: float, angle: float) -> None:
-    for off in CURVES:
-        assert turn_on_bar(VmcController(), 0.05, at, angle, -1, turning=CURVING, off=off)[0] == ""
+    for off in CURVE_COMMANDS:
+        assert turn_on_bar(VmcController(), 0.05, at, angle, -1, turning=CURVING_TIME, off=off)[0] == ""
 
 
 def test_no_wheel_is_lifted_while_the_trunk_tips() -> None:

@@ -62,6 +62,10 @@ def test_the_table_counts_by_controller_map_and_level() -> None:
         2 / 11,
         11,
     )
+    other = table([record(controller="jackal/drive"), record(controller="jackal/drive", outcome="fell")])
+    rows = {r.key: r for r in other.rows}
+    assert rows["lanes.jackal/drive.prior.1-3.reached"].value == 0.5
+    assert rows["lanes.jackal/drive.prior.1-3.reached"].limit is None
     assert "of 4" in table(records).to_text()
     assert '"trials": 4' in table(records).to_json()
 

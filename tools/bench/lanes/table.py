@@ -17,7 +17,7 @@ REACHED = {
     ("policy", "seen"): (0.97, 0.90),
     ("hybrid", "seen"): (0.97, 0.90),
 }
-"""Least share of goals reached on levels 1 to 3 and on level 4."""
+"""Least share of goals reached on levels 1 to 3 and on level 4; of other robots none is asked."""
 FALLS = {"vmc": 0.01, "policy": 0.005, "hybrid": 0.005}
 REFUSED_SHARE = 0.95
 DETOUR_RATIO, TIME_RATIO = 1.3, 1.6
@@ -36,7 +36,7 @@ def table(records: Iterable[Record]) -> Report:
     }
     for controller, how in sorted({(r["controller"], r["map"]) for r in records}):
         mine = [r for r in records if (r["controller"], r["map"]) == (controller, how)]
-        easy, hard = REACHED[controller, how]
+        easy, hard = REACHED.get((controller, how), (None, None))
         key = f"lanes.{controller}.{how}"
         for level in sorted({r["level"] for r in mine}):
             here = [r for r in mine if r["level"] == level]
@@ -53,7 +53,7 @@ def table(records: Iterable[Record]) -> Report:
         alarms = sum(bool(r["raised"]) for r in drivable)
         report.rate(f"{key}.1-4.false_alarms", alarms, len(drivable), 0.0, at_least=False)
         fell = sum(r["outcome"] == "fell" for r in mine)
-        report.rate(f"{key}.all.falls", fell, len(mine), FALLS[controller], at_least=False)
+        report.rate(f"{key}.all.falls", fell, len(mine), FALLS.get(controller), at_least=False)
         told = [r for r in drivable if how == "prior" and r.get("p_fail") is not None]
         if told:  # with a map the first plan tells of the whole way
             failed = sum(r["outcome"] != "reached" for r in told)

@@ -13,6 +13,7 @@ import numpy as np
 
 from hal.errors import OperatorError
 from rbtrg_robot import msg
+from rbtrg_robot import topics as t
 from rbtrg_robot.hosts.map_build import Built, Progress, build
 from rbtrg_robot.hosts.offline import config_of
 from rbtrg_robot.log.read import log_files
@@ -61,7 +62,8 @@ def close(
     pause: waits so many seconds for the log. Raises CloseError, ConfigError, LogError, MapError, which say what to do.
     """
     heard = _listen(bus, run, pause)
-    if heard.prior and not (out.is_file() and heard.prior == fingerprint(str(out))):
+    online = heard.prior.startswith(f"{t.MAP_CLOSED.name}:")
+    if heard.prior and not online and not (out.is_file() and heard.prior == fingerprint(str(out))):
         raise CloseError(
             "the stack began with a prior map, in which the robot finds itself: loops are closed in maps that it makes "
             "alone; use `map build` on the logs"

@@ -162,7 +162,7 @@ def test_what_is_not_closed_says_why(
     played.prior = "0" * 64
     with pytest.raises(CloseError, match="began with a prior map"):
         close(bus, run, tmp_path / "closed.npz", 0.1, lambda _: flushed(run))
-    played.prior, played.refuses = "", True
+    played.prior, played.refuses = f"{t.MAP_CLOSED.name}:1", True
 
     def moved(by: float, ago: int) -> None:
         record = {"closed": [{}], "moved_m": by}

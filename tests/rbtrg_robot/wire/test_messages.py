@@ -74,6 +74,7 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
         "/goal/request",
         "/goal_pose",
         "/dock/pose",
+        "/elevation_map/closed",
         "/initialpose",
         "/elevation_map/prior",
         "/track/path",

@@ -30,7 +30,7 @@ def square_or_die(folder: str, n: int) -> dict[str, int]:
 def test_a_dead_worker_costs_no_trial_an_error_is_told_at_the_end_and_two_workers_tell_what_one_tells(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tools.bench.spread.AHEAD", 3)  # more trials than are handed over at once
+    monkeypatch.setattr("tools.bench.spread.TRIALS_AHEAD", 3)  # more trials than are handed over at once
     got = []
     records = spread(square_or_die, [(str(tmp_path), n) for n in range(7)], 2)
     with pytest.raises(TrialsFailed, match="1 of 7 trials failed, the first with ValueError: five"):

@@ -104,9 +104,16 @@ class Motion:
             )
             wheels, spin = 0.5 * (right + left), 0.5 * (right - left) / self._wheels.half_track
             x, y = (wheels, 0.0) if told is None else told[1:]  # alone, the wheels are believed
-        else:
-            x, y = (0.0, 0.0) if told is None else told[1:]
+        elif told is not None:
+            x, y = told[1:]
             wheels, spin = math.hypot(x, y), turn
+        else:
+            wheels = x = y = spin = math.nan  # nothing tells whether it walks
+        w, i, j, k = (float(v) for v in low["imu_state"]["quaternion"])
+        if not ATTITUDE.outside(math.hypot(w, i, j, k)):
+            self.slope = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (i * i + j * j))))
+            self._nose = 2.0 * (i * k - w * j)
+        self.remote = remote(low)
         if not math.isfinite(wheels + turn):
             return
         if self._kept and now < self._kept[-1][0]:
@@ -114,11 +121,6 @@ class Motion:
         self._kept.append((now, wheels, x, y, turn, spin))
         while now - self._kept[0][0] > WINDOW:
             self._kept.popleft()
-        w, i, j, k = (float(v) for v in low["imu_state"]["quaternion"])
-        if not ATTITUDE.outside(math.hypot(w, i, j, k)):
-            self.slope = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (i * i + j * j))))
-            self._nose = 2.0 * (i * k - w * j)
-        self.remote = remote(low)
 
     def speed(self, now: float) -> float | None:
         """Mean [m/s] of the last `WINDOW`, or half the yaw rate if that is more; None if nothing is heard.

@@ -12,6 +12,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.order import Kind
 from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason, words
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.messages import header, stamp_of
@@ -140,3 +141,27 @@ class Attempt:
             stands = f"the robot is {robot.phase}" if robot else "the robot is silent"
             return Verdict(Outcome.FAILED, f"no `{self._kind}` within {POSTURE_LIMIT:.0f} s: {stands}")
         return RUNNING
+
+
+class GoalStep:
+    """What steps share that send one goal after the other, and ask the planner nothing."""
+
+    _drive: Attempt | None = None
+    """The goal that is driven to."""
+    answer = ""
+
+    def drives(self, goal_id: str, now: int) -> None:
+        """The goal to `target` was sent as `goal_id`."""
+        self._drive = Attempt(msg.MissionStep(kind=Kind.GOTO.value), now, goal_id)
+
+    def orders(self, now: int, pose: Pose2 | None = None) -> Outputs:
+        """Nothing is asked."""
+        del now, pose
+        return []
+
+    def take(self, views: msg.Viewpoints, now: int) -> None:
+        """It concerns explorations."""
+
+    def way_home(self, driven: float) -> float:
+        """[m], along what was driven."""
+        return driven

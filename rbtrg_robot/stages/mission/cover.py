@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from hal.types import NS
 from rbtrg_robot import msg
-from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
+from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, GoalStep, Outcome, Verdict
 from rbtrg_robot.stages.mission.explore import LISTED_PLACES
-from rbtrg_robot.stages.mission.order import GOAL_SPACING, Kind
+from rbtrg_robot.stages.mission.order import GOAL_SPACING
 from rbtrg_robot.stages.mission.reserve import HOME_SPEED
 from rbtrg_robot.stages.mission.way_home import Place
 from rbtrg_robot.stages.navigation.progress import Pose2
-from rbtrg_robot.stages.stage import Outputs
 
 
 def lanes(corners: NDArray[np.float64], swath: float, start: Place) -> list[Place]:
@@ -66,7 +65,7 @@ def _row(area: NDArray[np.float64], y: float, swath: float) -> list[Place]:
     return row
 
 
-class Coverage:
+class Coverage(GoalStep):
     """One try of the step, as `Exploration` is; begins when it is made."""
 
     def __init__(
@@ -83,8 +82,6 @@ class Coverage:
         self._retried: bool = kept.get("retried", False)
         self._began = now - round(kept.get("spent", 0.0) * NS)
         self._limit, self._home = step.duration, home
-        self._drive: Attempt | None = None
-        self.answer = ""
 
     def memory(self, now: int) -> str:
         """What another try goes on with."""
@@ -106,22 +103,6 @@ class Coverage:
     def wants_goal(self) -> bool:
         """There is no goal to the target yet."""
         return self._drive is None and bool(self._todo)
-
-    def drives(self, goal_id: str, now: int) -> None:
-        """The goal to `target` was sent as `goal_id`."""
-        self._drive = Attempt(msg.MissionStep(kind=Kind.GOTO.value), now, goal_id)
-
-    def orders(self, now: int, pose: Pose2 | None = None) -> Outputs:
-        """Nothing is asked."""
-        del now, pose
-        return []
-
-    def take(self, views: msg.Viewpoints, now: int) -> None:
-        """It concerns explorations."""
-
-    def way_home(self, driven: float) -> float:
-        """[m], along what was driven."""
-        return driven
 
     def verdict(
         self,

@@ -10,10 +10,8 @@ import math
 
 from hal.types import NS
 from rbtrg_robot import msg
-from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
-from rbtrg_robot.stages.mission.order import Kind
+from rbtrg_robot.stages.mission.attempt import RUNNING, GoalStep, Outcome, Verdict
 from rbtrg_robot.stages.navigation.progress import Pose2
-from rbtrg_robot.stages.stage import Outputs
 
 DOCK_AHEAD = 0.8
 """[m] before the dock the robot stops, looks along it, and waits for a fresh pose: more than a body length."""
@@ -27,7 +25,7 @@ FARTHEST_OFF = 1.0
 """[m] A pose that lies farther from the one of the mission is of another dock."""
 
 
-class Docking:
+class Docking(GoalStep):
     """One try of the step, as `Exploration` is; begins when it is made."""
 
     def __init__(self, step: msg.MissionStep, now: int) -> None:
@@ -40,8 +38,6 @@ class Docking:
         self._before = False
         """It stands before the dock."""
         self._now = now
-        self._attempt: Attempt | None = None
-        self.answer = ""
 
     def see(self, told: tuple[int, Pose2] | None) -> None:
         """The newest pose that somebody told: its stamp [ns], x, y [m], yaw [rad] in `map`."""
@@ -69,25 +65,9 @@ class Docking:
     @property
     def wants_goal(self) -> bool:
         """There is no goal to the target yet."""
-        if self._attempt is not None or self.target is None:
+        if self._drive is not None or self.target is None:
             return False
         return not self._before or self._told is None or self._fresh
-
-    def drives(self, goal_id: str, now: int) -> None:
-        """The goal to `target` was sent as `goal_id`."""
-        self._attempt = Attempt(msg.MissionStep(kind=Kind.GOTO.value), now, goal_id)
-
-    def orders(self, now: int, pose: Pose2 | None = None) -> Outputs:
-        """Nothing is asked."""
-        del now, pose
-        return []
-
-    def take(self, views: msg.Viewpoints, now: int) -> None:
-        """It concerns explorations."""
-
-    def way_home(self, driven: float) -> float:
-        """[m], along what was driven."""
-        return driven
 
     def memory(self, now: int) -> str:
         """An interrupted try begins anew."""
@@ -105,12 +85,12 @@ class Docking:
         """From the newest words of navigator and robot. A low battery is a reason to dock."""
         del way, low
         self._now = now
-        if self._attempt is not None:
-            drive = self._attempt.verdict(now, goal, robot)
+        if self._drive is not None:
+            drive = self._drive.verdict(now, goal, robot)
             if drive.outcome is Outcome.DONE and not self._before:
-                self._before, self._attempt, self._since = True, None, now
+                self._before, self._drive, self._since = True, None, now
                 return RUNNING
-            return Verdict(drive.outcome, self.progress) if drive.outcome is DONE.outcome else drive
+            return Verdict(Outcome.DONE, self.progress) if drive.outcome is Outcome.DONE else drive
         waited = (now - self._since) / NS
         if self._before and not self.wants_goal and waited > SEEN_WITHIN:
             return Verdict(
@@ -131,7 +111,5 @@ class Docking:
             return "waits for the pose of the dock"
         x, y, yaw = pose
         told = "as seen" if self._told is not None else "as the mission has it"
-        where = f"at the dock, {x:.2f} {y:.2f}, {math.degrees(yaw):.0f} deg, {told}"
-        return (
-            where if self._before else f"on the way to before the dock {where.removeprefix('at the dock, ')}"
-        )
+        where = "at the dock" if self._before else "on the way to before the dock"
+        return f"{where}, {x:.2f} {y:.2f}, {math.degrees(yaw):.0f} deg, {told}"

@@ -197,9 +197,12 @@ class Feed:
         self._bus.publish(t.CAMERA_REQUEST, msg.String(data="console"), time.time_ns())
 
     def age(self, message: msg.Message) -> float:
-        """[s] from the stamp of a sensor's message to now, on the clock of the sensors."""
+        """[s] from the stamp of a sensor's message to now, on the clock of the sensors.
+
+        A message newer than the newest of the clock is of now: the two come over different topics.
+        """
         stamp, at = self._source
-        return (stamp - stamp_of(message)) / NS + time.monotonic() - at
+        return max(0.0, (stamp - stamp_of(message)) / NS + time.monotonic() - at)
 
     @property
     def looking(self) -> frozenset[Slots]:

@@ -35,7 +35,7 @@ FAILURES = ("fell", "stuck", "slid", "touched")
 turns and among posts); lay on its trunk."""
 MAX_RISK = 0.30
 """Probability of failure of one motion above which it is no way."""
-CONFIDENCE = 0.80
+BOUND_CONFIDENCE = 0.80
 """Of the bound that decides what is no way."""
 FALL_COST = 100.0
 """Metres of driving that one failure is worth."""
@@ -130,7 +130,7 @@ class Table(BaseModel):
 # Each maps values of the axes (SI) to parts (..., m) that are zero where nothing can go wrong and never fall with size.
 # One is about what makes a face of 10 cm or a slope of 20 deg hard.
 _TEN_CM = 0.10
-_STEEP = math.tan(math.radians(20.0))
+_STEEP_SLOPE = math.tan(math.radians(20.0))
 
 
 def _face_parts(height: Array, angle: Array, slope: Array) -> Array:
@@ -138,7 +138,7 @@ def _face_parts(height: Array, angle: Array, slope: Array) -> Array:
     h = height / _TEN_CM
     # A robot slides on a slope at any face that holds a wheel, high or low; at none it is the business of `slope`.
     held = np.minimum(h, 0.5)
-    return np.stack([h, h * s, h * s**4, held * np.tan(slope) / _STEEP], -1)
+    return np.stack([h, h * s, h * s**4, held * np.tan(slope) / _STEEP_SLOPE], -1)
 
 
 def _stairs_parts(riser: Array, tread: Array, angle: Array) -> Array:
@@ -148,11 +148,11 @@ def _stairs_parts(riser: Array, tread: Array, angle: Array) -> Array:
 
 def _turn_parts(height: Array, slope: Array, place: Array) -> Array:
     h = height / _TEN_CM
-    return np.stack([h, h * place, np.tan(slope) / _STEEP, h * np.tan(slope) / _STEEP], -1)
+    return np.stack([h, h * place, np.tan(slope) / _STEEP_SLOPE, h * np.tan(slope) / _STEEP_SLOPE], -1)
 
 
 def _slope_parts(steepness: Array, direction: Array) -> Array:
-    t, c = np.tan(steepness) / _STEEP, np.cos(direction)
+    t, c = np.tan(steepness) / _STEEP_SLOPE, np.cos(direction)
     return np.stack([t * np.maximum(c, 0.0), t * np.maximum(-c, 0.0), t * np.abs(np.sin(direction))], -1)
 
 
@@ -185,11 +185,11 @@ PRIOR_BASE, PRIOR_BASE_SIGMA = -10.0, 5.0
 """Logit of the harm on flat ground that the model takes off again: how sharply harm rises. Weak."""
 PRIOR_PART, PRIOR_PART_SIGMA = 0.0, 1.5
 """Logarithm of the weight of each part. Weights are positive by it, so harm never falls with size."""
-DRAWS = 128
+DRAW_COUNT = 128
 """Parameters drawn about the fit, for its bound."""
 MAX_EXPONENT = 50.0
 MIN_HAZARD = 1e-12
-ROUNDS = 100
+MOST_ROUNDS = 100
 
 
 class Fit:
@@ -216,7 +216,7 @@ class Fit:
 
         theta, damping = prior.copy(), 1.0
         best = cost(theta)
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             gradient, information = self._derivatives(theta, parts, n, k)
             gradient = gradient + precision * (theta - prior)
             information = information + np.diag(precision)
@@ -237,12 +237,12 @@ class Fit:
         weights = np.exp(theta[1:])
         scale = np.array([1.0, *weights])
         root = np.linalg.inv(np.linalg.cholesky(information + np.diag(precision)))
-        normal = np.random.default_rng(0).standard_normal((DRAWS // 2, count + 1))
+        normal = np.random.default_rng(0).standard_normal((DRAW_COUNT // 2, count + 1))
         drawn = np.concatenate([normal, -normal]) @ root * scale
         self.base, self.weights = float(theta[0]), weights
         """Logit on flat ground, and what each part adds to it (m,)."""
         self.bases, self.drawn = theta[0] + drawn[:, 0], np.maximum(weights + drawn[:, 1:], 0.0)
-        """(DRAWS,) and (DRAWS, m): the same, drawn from what is possible after the trials."""
+        """(DRAW_COUNT,) and (DRAW_COUNT, m): the same, drawn from what is possible after the trials."""
 
     @staticmethod
     def _derivatives(theta: Array, parts: Array, n: Array, k: Array) -> tuple[Array, Array]:
@@ -262,12 +262,12 @@ class Fit:
         return _hazard(self.base, self.weights, parts)
 
     def bound(self, parts: Array) -> Array:
-        """Hazard (...) that is not exceeded at `CONFIDENCE`, never below the mean.
+        """Hazard (...) that is not exceeded at `BOUND_CONFIDENCE`, never below the mean.
 
         Each drawn curve rises with every part, and so does the curve of their quantile.
         """
         drawn = np.stack([_hazard(b, w, parts) for b, w in zip(self.bases, self.drawn, strict=True)])
-        return np.maximum(np.quantile(drawn, CONFIDENCE, axis=0), self.mean(parts))
+        return np.maximum(np.quantile(drawn, BOUND_CONFIDENCE, axis=0), self.mean(parts))
 
 
 def _hazard(base: float, weights: Array, parts: Array) -> Array:
@@ -306,7 +306,8 @@ class Counted(BaseModel):
         return self._probability(name, values, bound=bool(self.manoeuvres[name].assumed))
 
     def bound(self, name: str, *values: ArrayLike) -> Array:
-        """The same at `CONFIDENCE`, by which it is a way. One beyond what was tested, but where there is nothing."""
+        """The same at `BOUND_CONFIDENCE`, by which it is a way. One beyond what was tested, but where there is
+        nothing."""
         p = self._probability(name, values, bound=True)
         return np.where(self.tested(name, *values) | (p == 0.0), p, 1.0)
 

@@ -23,12 +23,12 @@ MOTORS: Final = tuple(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh
     f"{leg}_wheel" for leg in LEGS
 )
 """The sixteen joints by name, in the order of Unitree's SDK (LowCmd and LowState slots 0..15 of a Go2-W)."""
-WHEELS: Final = slice(12, 16)
+WHEEL_JOINTS: Final = slice(12, 16)
 """Where the wheels sit in a (16,) joint array."""
 
-SX: Final = np.array([1.0, 1.0, -1.0, -1.0])
+SIGN_X: Final = np.array([1.0, 1.0, -1.0, -1.0])
 """+1 front, -1 rear, per limb."""
-SY: Final = np.array([-1.0, 1.0, -1.0, 1.0])
+SIGN_Y: Final = np.array([-1.0, 1.0, -1.0, 1.0])
 """+1 left, -1 right, per limb."""
 
 
@@ -72,12 +72,12 @@ def wheel_centres(limbs: Limbs, q: Array) -> Array:
         thigh = q[3 * leg + 1]
         shank = thigh + q[3 * leg + 2]
         x = -limbs.thigh * math.sin(thigh) - limbs.calf * math.sin(shank)
-        y = (limbs.thigh_y + limbs.tread_y) * SY[leg]
+        y = (limbs.thigh_y + limbs.tread_y) * SIGN_Y[leg]
         z = -limbs.thigh * math.cos(thigh) - limbs.calf * math.cos(shank)
         s = math.sin(hip)
         c = math.cos(hip)
-        out[leg, 0] = limbs.hip_x * SX[leg] + x
-        out[leg, 1] = limbs.hip_y * SY[leg] + y * c - z * s
+        out[leg, 0] = limbs.hip_x * SIGN_X[leg] + x
+        out[leg, 1] = limbs.hip_y * SIGN_Y[leg] + y * c - z * s
         out[leg, 2] = limbs.hip_z + y * s + z * c
     return out
 
@@ -93,7 +93,7 @@ def wheel_jacobians(limbs: Limbs, q: Array) -> Array:
         hip = q[3 * leg]
         thigh = q[3 * leg + 1]
         shank = thigh + q[3 * leg + 2]
-        y = (limbs.thigh_y + limbs.tread_y) * SY[leg]
+        y = (limbs.thigh_y + limbs.tread_y) * SIGN_Y[leg]
         calf_x = -limbs.calf * math.sin(shank)
         calf_z = -limbs.calf * math.cos(shank)
         x = -limbs.thigh * math.sin(thigh) + calf_x

@@ -21,16 +21,16 @@ from hal.safety.monitors import (
 )
 from hal.types import GRAVITY, NS, Array
 
-_SMOOTH = 0.5
+_SMOOTH_TIME = 0.5
 """[s] over which a specific force is averaged: a shock is over, a wrong unit stays."""
-_SHOCK = 2.0 * GRAVITY
+_SHOCK_FORCE = 2.0 * GRAVITY
 """[m/s^2] A larger force counts as one of this size: one blow outweighs no half second, a wrong unit does."""
-_TUMBLES = 2.0
+_TUMBLE_RATE = 2.0
 """[rad/s] No robot turns so fast on its feet. A robot that was thrown over flies for more than half a second and
 feels no gravity then."""
-_TRUST = 5.0
+_TRUST_TIME = 5.0
 """[s] Time constant that draws the gyro's direction to the measured one: a bias of 1 deg/s puts it off by 5 deg."""
-_GAP = NS // 5
+_LONGEST_GAP = NS // 5
 """[ns] without a sample after which the gyro tells nothing of the direction."""
 WHEELS = np.arange(16) >= 12
 """(16,) of the motors."""
@@ -67,11 +67,11 @@ class ImuCheck:
         in order."""
         # Plain floats: at the rate of an IMU, numpy on three numbers costs more than all the rest.
         x, y, z = accel.tolist()
-        share = min(1.0, _SHOCK / (math.hypot(x, y, z) or 1.0))
+        share = min(1.0, _SHOCK_FORCE / (math.hypot(x, y, z) or 1.0))
         a = share * x, share * y, share * z
         wx, wy, wz = gyro.tolist()
         dt = 0.0 if self._stamp is None else stamp - self._stamp
-        if self._stamp is None or not 0 <= dt <= _GAP:
+        if self._stamp is None or not 0 <= dt <= _LONGEST_GAP:
             self._stamp, self._mean, dt = stamp, a, 0.0
             self._up = _unit(a)
         self._stamp, dt = stamp, dt / NS
@@ -80,17 +80,17 @@ class ImuCheck:
             x, y, z = v
             return x - dt * (wy * z - wz * y), y - dt * (wz * x - wx * z), z - dt * (wx * y - wy * x)
 
-        self._mean = _toward(turned(self._mean), a, dt / (_SMOOTH + dt))
-        self._spin += dt / (_SMOOTH + dt) * (math.hypot(wx, wy, wz) - self._spin)
+        self._mean = _toward(turned(self._mean), a, dt / (_SMOOTH_TIME + dt))
+        self._spin += dt / (_SMOOTH_TIME + dt) * (math.hypot(wx, wy, wz) - self._spin)
         self._up = turned(self._up)
         reason = self._gravity()
         if not reason:
-            self._up = _unit(_toward(self._up, _unit(self._mean), dt / _TRUST))
+            self._up = _unit(_toward(self._up, _unit(self._mean), dt / _TRUST_TIME))
         return reason
 
     def _gravity(self) -> str:
         size = math.hypot(*self._mean)
-        if GRAVITY_SIZE.outside(size) and self._spin < _TUMBLES:
+        if GRAVITY_SIZE.outside(size) and self._spin < _TUMBLE_RATE:
             return GRAVITY_SIZE.tell(stream=self._stream, value=size)
         direction = _unit(self._mean)
         if not self._stood:

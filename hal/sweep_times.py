@@ -15,11 +15,11 @@ SHORTEST, LONGEST = POINT_TIMES.low, POINT_TIMES.high
 UNITS = {1.0: NS, 1e-3: NS // 10**3, 1e-6: NS // 10**6, 1e-9: 1}
 """Seconds, milli-, micro- and nanoseconds: each in [s] and in [ns]. Sweeps last 10 to 600 ms, so the spread tells
 which."""
-EDGE = 20
+EDGE_PARTS = 20
 """One of so many points at either end may be a stray."""
-HOLE = 0.25
+HOLE_SHARE = 0.25
 """Share of the spread of the others without any point, beyond which those that follow are strays."""
-FILLED = 5
+FILLED_PARTS = 5
 """Of 20 equal parts of the spread so many have points, where it is not in seconds: two heaps are no sweep."""
 
 
@@ -70,7 +70,7 @@ def sweep_times(
         unit = unit or (1e-9 if whole else 1.0)
         begin = values[good].min()
         return SweepTimes(round(float(begin) * UNITS[unit]), unit, good, values, begin)
-    edge = max(1, n // EDGE) if n > 3 else 0
+    edge = max(1, n // EDGE_PARTS) if n > 3 else 0
     ordered = np.partition(values[good], [edge, n - 1 - edge])
     low, high = ordered[edge], ordered[n - 1 - edge]
     core = ordered[edge : n - edge]
@@ -78,7 +78,7 @@ def sweep_times(
         unit = _unit(core, float(low), float(high - low), whole, near)
     if not (high - low) * unit <= LONGEST or not abs(float(low)) * unit < 2.0**33:
         raise TimesError(f"{low:g} to {high:g}")
-    hole = max(HOLE, 3.0 / len(core)) * float(high - low)
+    hole = max(HOLE_SHARE, 3.0 / len(core)) * float(high - low)
     begin = low - _reach(np.sort(low - ordered[:edge]), hole)
     end = high + _reach(np.sort(ordered[n - edge :] - high), hole)
     inside = good & (values >= begin) & (values <= end)
@@ -102,7 +102,7 @@ def _unit(core: NDArray, low: float, spread: float, whole: bool, near: int) -> f
     for unit in UNITS:
         if (unit < 1.0 or not whole) and SHORTEST <= spread * unit <= LONGEST:
             parts = (core[:: 1 + len(core) // 2000] - low) * (20.0 / spread)
-            if len(np.unique(np.minimum(parts.astype(np.int64), 19))) >= FILLED or len(core) < 20:
+            if len(np.unique(np.minimum(parts.astype(np.int64), 19))) >= FILLED_PARTS or len(core) < 20:
                 return unit
             break
     if whole and spread * 1e-9 < SHORTEST:

@@ -15,16 +15,16 @@ from mapping.elevation.files import areas_in
 from mapping.grid import FARTHEST_PLACE
 from rbtrg_robot import msg
 
-MOST = 50
+MOST_AREAS = 50
 """Areas at once."""
-CORNERS = 100
+MOST_CORNERS = 100
 """Of one."""
 
 
 def fence_of(areas: Sequence[msg.GroundArea]) -> Fence:
     """Raises GeofenceError where one of them is no polygon in `map`, or there are too many."""
-    if len(areas) > MOST or any(len(area.corners) > 2 * CORNERS for area in areas):
-        raise GeofenceError(f"at most {MOST} areas of {CORNERS} corners each")
+    if len(areas) > MOST_AREAS or any(len(area.corners) > 2 * MOST_CORNERS for area in areas):
+        raise GeofenceError(f"at most {MOST_AREAS} areas of {MOST_CORNERS} corners each")
     polygons = []
     for area in areas:
         if len(area.corners) % 2 or not (np.abs(area.corners) < FARTHEST_PLACE).all():

@@ -12,12 +12,12 @@ import socket
 import threading
 from collections.abc import Callable
 
-QUEUE = 1024
+QUEUE_LENGTH = 1024
 """Connections that the computer holds until they are accepted. It drops those beyond; a dropped client tries again
 after 1 s."""
-RUSH = 128
+RUSH_COUNT = 128
 """So many accepted in a row, with the next one waiting each time, are a flood."""
-LARGEST = 16_384
+LARGEST_REQUEST = 16_384
 """Bytes looked at of a request that waits."""
 
 Address = tuple[str, int]
@@ -58,13 +58,13 @@ class CrowdedSocket(socket.socket):
 
     def listen(self, _turn: int = 0, /) -> None:
         """As long a queue, however many a server accepts in one turn of its loop."""
-        super().listen(QUEUE)
+        super().listen(QUEUE_LENGTH)
 
     def accept(self) -> tuple[socket.socket, tuple[str, int]]:
         """The next connection. Raises BlockingIOError where nobody waits, or too many who ask for nothing."""
-        for _ in range(QUEUE):
+        for _ in range(QUEUE_LENGTH):
             found, address = self._next()
-            if self._asks is None or self._row <= RUSH or self._asks(_first_bytes(found)):
+            if self._asks is None or self._row <= RUSH_COUNT or self._asks(_first_bytes(found)):
                 break
             found.close()  # a hundredth of what a server spends on it
         else:
@@ -121,7 +121,7 @@ def _send_away(found: socket.socket) -> None:
 
 def _first_bytes(found: socket.socket) -> bytes:
     with contextlib.suppress(OSError):
-        return found.recv(LARGEST, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+        return found.recv(LARGEST_REQUEST, socket.MSG_PEEK | socket.MSG_DONTWAIT)
     return b""
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hal.errors import OperatorError
 
-LONGEST = 107
+LONGEST_PATH = 107
 """Bytes of the path of a socket."""
 
 
@@ -35,8 +35,8 @@ def run_dir() -> Path:
 def bus_socket(robot: str) -> Path:
     """Where a robot's bus listens for the processes and commands of this user. Raises UnsafeFolder."""
     path = run_dir() / f"{robot}.bus"
-    if len(os.fsencode(path)) > LONGEST:
+    if len(os.fsencode(path)) > LONGEST_PATH:
         raise UnsafeFolder(
-            f"{path} is too long for a socket, which has {LONGEST} bytes: set XDG_RUNTIME_DIR to a shorter one"
+            f"{path} is too long for a socket, which has {LONGEST_PATH} bytes: set XDG_RUNTIME_DIR to a shorter one"
         )
     return path

@@ -94,7 +94,7 @@ class GraphConfig(GraphSettings):
         return GraphParams(**(self.model_dump() | limits), controller=controller)
 
 
-FAR = 2.4
+GUARD_RANGE = 2.4
 """[m] the guard looks ahead of the body. A LiDAR sees the ground below an edge only far behind the edge: one on the
 back whose lowest beam goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
 
@@ -122,7 +122,7 @@ class GuardConfig(BaseModel):
 
     def fastest(self) -> float:
         """[m/s] from which the body stops within what the guard looks at."""
-        left = FAR - self.margin
+        left = GUARD_RANGE - self.margin
         return self.deceleration * (
             math.sqrt(self.reaction**2 + 2.0 * left / self.deceleration) - self.reaction
         )

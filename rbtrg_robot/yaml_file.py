@@ -13,9 +13,9 @@ import yaml
 
 from hal.regular import open_regular
 
-LARGEST = 1_000_000
+LARGEST_FILE = 1_000_000
 """Bytes. PyYAML takes 4 s for so many."""
-MOST = 100_000
+MOST_ITEMS = 100_000
 """Values, with every alias written out."""
 WRONG = (
     yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError,
@@ -42,22 +42,22 @@ class _Loader(yaml.SafeLoader):
 
 def parse(text: str | bytes) -> Any:
     """The value in a text. Raises YamlError."""
-    if len(text) > LARGEST:
-        raise YamlError(f"more than {LARGEST:,} bytes")
+    if len(text) > LARGEST_FILE:
+        raise YamlError(f"more than {LARGEST_FILE:,} bytes")
     try:
         value = yaml.load(text, _Loader)
-        many = _weight(value, {}) > MOST
+        many = _weight(value, {}) > MOST_ITEMS
     except WRONG as error:
         raise YamlError(" ".join(str(error).split()) or type(error).__name__) from error
     if many:
-        raise YamlError(f"more than {MOST:,} values, with its aliases written out")
+        raise YamlError(f"more than {MOST_ITEMS:,} values, with its aliases written out")
     return value
 
 
 def read(path: Path) -> Any:
     """The value in a file. Raises OSError, YamlError."""
     with open_regular(path) as file:
-        return parse(file.read(LARGEST + 1))
+        return parse(file.read(LARGEST_FILE + 1))
 
 
 def _weight(value: Any, known: dict[int, float]) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS, LidarSpec
-from hal.robots.go2w.facts import MASS, WHEEL_RADIUS, wheel_jacobians
+from hal.robots.go2w.facts import ROBOT_MASS, WHEEL_RADIUS, wheel_jacobians
 from hal.scenes import Scene
 from hal.types import (
     GRAVITY,
@@ -192,7 +192,7 @@ class _Proprioception:
             spin = state.spin[i] + (rolling * (1.0 + self._slip) - state.ground_speed[i]) / WHEEL_RADIUS
             self._wheel = self._wheel + spin * dt
             white = self._encoder.standard_normal(28)
-            load = rotation[i].T @ np.array([0.0, 0.0, 0.25 * MASS * GRAVITY])
+            load = rotation[i].T @ np.array([0.0, 0.0, 0.25 * ROBOT_MASS * GRAVITY])
             torque = -np.einsum("lai,a->li", wheel_jacobians(state.position[i]), load).reshape(12)
             yield JointSample(
                 int(stamps[i]),

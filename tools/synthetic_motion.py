@@ -17,8 +17,8 @@ from hal.robots.go2w.facts import (
     HIP_X,
     HIP_Y,
     IMU_POSITION,
-    SX,
-    SY,
+    SIGN_X,
+    SIGN_Y,
     THIGH,
     THIGH_Y,
     TREAD_Y,
@@ -155,7 +155,7 @@ def quaternions(rotation: Array) -> Array:
 
 
 # --- legs ---------------------------------------------------------------------------------------------------------
-STANCE = np.stack([HIP_X * SX, (HIP_Y + THIGH_Y + TREAD_Y) * SY], axis=-1)
+STANCE = np.stack([HIP_X * SIGN_X, (HIP_Y + THIGH_Y + TREAD_Y) * SIGN_Y], axis=-1)
 """(4, 2) wheel centres in the heading frame below base_link [m]: below the hips."""
 
 
@@ -164,9 +164,9 @@ def leg_angles(centres: Array) -> Array:
 
     Inverse of `hal.robots.go2w.facts.wheel_centres` with the knee bent backwards. Raises ValueError out of reach.
     """
-    offset = (THIGH_Y + TREAD_Y) * SY
-    x = centres[..., 0] - HIP_X * SX
-    y = centres[..., 1] - HIP_Y * SY
+    offset = (THIGH_Y + TREAD_Y) * SIGN_Y
+    x = centres[..., 0] - HIP_X * SIGN_X
+    y = centres[..., 1] - HIP_Y * SIGN_Y
     z = centres[..., 2]
     below = y**2 + z**2 - offset**2
     reach = x**2 + below

@@ -13,7 +13,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-from rbtrg_robot.process.kernels import KERNELS, Compiling
+from rbtrg_robot.process.kernels import KERNEL_FILES, Compiling
 
 PARTS = ("planner", "robot", "elevation", "odometry", "native", "guard", "unitree")
 """The longest first."""
@@ -55,7 +55,7 @@ def main() -> None:
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         for part, seconds in zip(PARTS, pool.map(warm, PARTS), strict=True):
             print(f"{part}: {seconds:.0f} s")
-    if compiling.cold and abs(compiling.done - KERNELS) > 0.1 * KERNELS:
+    if compiling.cold and abs(compiling.done - KERNEL_FILES) > 0.1 * KERNEL_FILES:
         raise SystemExit(f"{compiling.done} kernels were compiled: say so in rbtrg_robot/process/kernels.py")
 
 

@@ -17,7 +17,7 @@ from hal.errors import OperatorError
 from hal.rotation import rotation_rpy
 from hal.types import Array, Extrinsics
 
-OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+OPTICAL_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Axes of the optical frame (x right, y down, z ahead) in the axes of the mount (x ahead, y left, z up), as columns."""
 
 
@@ -62,7 +62,7 @@ class MountedCamera:
     @property
     def rotation(self) -> Array:
         """(3, 3) base_link <- optical frame."""
-        return rotation_rpy(*self.mount.rpy) @ OPTICAL
+        return rotation_rpy(*self.mount.rpy) @ OPTICAL_AXES
 
 
 @dataclass(frozen=True, slots=True)

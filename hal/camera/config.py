@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hal.camera.camera import MountedCamera
 from hal.types import Extrinsics
 
-FRONT = Extrinsics((0.327, 0.0, 0.043))
+FRONT_MOUNT = Extrinsics((0.327, 0.0, 0.043))
 """In the head of a trunk of 0.4 m, level and straight ahead, where the robot's description says no other place."""
 
 
@@ -26,7 +26,7 @@ class CameraConfig(BaseModel):
         "v4l2:/dev/videoN: another one (extra `camera`)",
     )
     name: Literal["front"] = Field("front", description="of the camera: in topics and frames")
-    mount: Extrinsics = Field(FRONT, description="in base_link [m, rad], x along the view")
+    mount: Extrinsics = Field(FRONT_MOUNT, description="in base_link [m, rad], x along the view")
     width: int = Field(320, ge=64, le=1920, description="of a simulated picture [pixels]")
     height: int = Field(240, ge=48, le=1080, description="of a simulated picture [pixels]")
     fov: float = Field(

@@ -8,7 +8,7 @@ from typing import Any
 
 from hal.camera.camera import CameraError, CameraFrame, MountedCamera, encode
 
-OPENING = 10.0
+OPENING_TIME = 10.0
 """[s] a camera has until its first frame, and between two."""
 
 
@@ -54,7 +54,7 @@ class StreamCamera:
 
         film = self._url.startswith("file:")
         # A live stream is not buffered: what is probed at its begin is lost, and nothing is ever late.
-        live = {"timeout": str(int(OPENING * 1e6)), "fflags": "nobuffer", "rtsp_transport": "tcp"}
+        live = {"timeout": str(int(OPENING_TIME * 1e6)), "fflags": "nobuffer", "rtsp_transport": "tcp"}
         url, form = self._url, None
         if url.startswith("v4l2:"):
             url, form = url.removeprefix("v4l2:"), "v4l2"
@@ -62,7 +62,7 @@ class StreamCamera:
             while not self._ended.is_set():
                 options = {} if film else live
                 count = 0
-                with av.open(url, format=form, options=options, timeout=OPENING) as container:
+                with av.open(url, format=form, options=options, timeout=OPENING_TIME) as container:
                     for picture in container.decode(video=0):
                         count += 1
                         self._newest = (time.monotonic(), picture)
@@ -80,7 +80,7 @@ class StreamCamera:
         if self._failed:
             raise CameraError(f"the camera at {self._name} gives nothing: {self._failed}")
         if newest is None or newest[0] == self._taken:
-            if wall - (newest[0] if newest else self._opened) > OPENING:
+            if wall - (newest[0] if newest else self._opened) > OPENING_TIME:
                 raise CameraError(f"the camera at {self._name} is silent: check its address and the network")
             return None
         self._taken = newest[0]

@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-BLOCK = 8
+BLOCK_SIDE = 8
 """Cells per side of one entry of the max pyramid."""
 
-REACH = 4
+BLOCK_REACH = 4
 """Blocks around a block whose highest vertex tells how far a ray may jump."""
 
 
@@ -22,9 +22,9 @@ class Pyramid(NamedTuple):
     cells: NDArray[np.float32]
     """(rows - 1, cols - 1): of each cell."""
     blocks: NDArray[np.float32]
-    """(ceil((rows - 1) / BLOCK), ceil((cols - 1) / BLOCK)): of BLOCK x BLOCK cells."""
+    """(ceil((rows - 1) / BLOCK_SIDE), ceil((cols - 1) / BLOCK_SIDE)): of BLOCK_SIDE x BLOCK_SIDE cells."""
     around: NDArray[np.float32]
-    """As `blocks`: of all blocks up to REACH rows and columns away."""
+    """As `blocks`: of all blocks up to BLOCK_REACH rows and columns away."""
     highest: float
     """Of all."""
 
@@ -33,12 +33,12 @@ def pyramid(height: NDArray[np.float32]) -> Pyramid:
     """The pyramid over the vertices `height`."""
     pairs = np.maximum(height[1:], height[:-1])
     cells = np.ascontiguousarray(np.maximum(pairs[:, 1:], pairs[:, :-1]))
-    fill = [(0, -n % BLOCK) for n in cells.shape]
+    fill = [(0, -n % BLOCK_SIDE) for n in cells.shape]
     padded = np.pad(cells, fill, constant_values=-np.inf)
-    rows, cols = (n // BLOCK for n in padded.shape)
-    blocks = np.ascontiguousarray(padded.reshape(rows, BLOCK, cols, BLOCK).max(axis=(1, 3)))
-    window = (2 * REACH + 1, 2 * REACH + 1)
-    views = np.lib.stride_tricks.sliding_window_view(np.pad(blocks, REACH, mode="edge"), window)
+    rows, cols = (n // BLOCK_SIDE for n in padded.shape)
+    blocks = np.ascontiguousarray(padded.reshape(rows, BLOCK_SIDE, cols, BLOCK_SIDE).max(axis=(1, 3)))
+    window = (2 * BLOCK_REACH + 1, 2 * BLOCK_REACH + 1)
+    views = np.lib.stride_tricks.sliding_window_view(np.pad(blocks, BLOCK_REACH, mode="edge"), window)
     return Pyramid(cells, blocks, np.ascontiguousarray(views.max(axis=(2, 3))), float(blocks.max()))
 
 

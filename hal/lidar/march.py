@@ -9,13 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.lidar.kernels import BLOCK, REACH
+from hal.lidar.kernels import BLOCK_REACH, BLOCK_SIDE
 
-PARALLEL = 1e-12
+PARALLEL_DRIFT = 1e-12
 """Cells per metre below which a ray runs along an axis: it is given that small drift, which saves every test for
 zero."""
-PER_BLOCK = 1.0 / BLOCK
-JUMP = REACH * BLOCK - 1e-3
+PER_BLOCK = 1.0 / BLOCK_SIDE
+LONGEST_JUMP = BLOCK_REACH * BLOCK_SIDE - 1e-3
 """Cells along the faster axis that a ray may go without leaving what `Pyramid.around` covers."""
 
 
@@ -56,8 +56,8 @@ def cast_surface(
         t1 = t_max
         if dz > 0.0 and oz + dz * t1 > top:  # nothing stands higher
             t1 = (top - oz) / dz
-        dx = dx if abs(dx) > PARALLEL else PARALLEL
-        dy = dy if abs(dy) > PARALLEL else PARALLEL
+        dx = dx if abs(dx) > PARALLEL_DRIFT else PARALLEL_DRIFT
+        dy = dy if abs(dy) > PARALLEL_DRIFT else PARALLEL_DRIFT
         inv_x = 1.0 / dx
         inv_y = 1.0 / dy
         a = -ox * inv_x
@@ -76,7 +76,7 @@ def cast_surface(
         step_r = 1 if dy > 0.0 else -1
         next_c = 1 if dx > 0.0 else 0  # the cell border that a ray leaves through
         next_r = 1 if dy > 0.0 else 0
-        jump = JUMP * (abs(inv_x) if abs(inv_x) < abs(inv_y) else abs(inv_y))
+        jump = LONGEST_JUMP * (abs(inv_x) if abs(inv_x) < abs(inv_y) else abs(inv_y))
         bc = min(max(int((ox + dx * t) * PER_BLOCK), 0), last_bc)
         br = min(max(int((oy + dy * t) * PER_BLOCK), 0), last_br)
         while t < t1:
@@ -89,16 +89,16 @@ def cast_surface(
                 bc = min(max(int((ox + dx * t) * PER_BLOCK), 0), last_bc)
                 br = min(max(int((oy + dy * t) * PER_BLOCK), 0), last_br)
                 continue
-            tx = ((bc + next_c) * BLOCK - ox) * inv_x
-            ty = ((br + next_r) * BLOCK - oy) * inv_y
+            tx = ((bc + next_c) * BLOCK_SIDE - ox) * inv_x
+            ty = ((br + next_r) * BLOCK_SIDE - oy) * inv_y
             t_out = tx if tx < ty else ty
             t_out = t_out if t_out < t1 else t1
             if oz + dz * (t if dz > 0.0 else t_out) > blocks[np.uint64(br), np.uint64(bc)]:
                 known = True
                 above = True
             else:
-                c_low, r_low = bc * BLOCK, br * BLOCK
-                c_high, r_high = min(c_low + BLOCK, cols - 1) - 1, min(r_low + BLOCK, rows - 1) - 1
+                c_low, r_low = bc * BLOCK_SIDE, br * BLOCK_SIDE
+                c_high, r_high = min(c_low + BLOCK_SIDE, cols - 1) - 1, min(r_low + BLOCK_SIDE, rows - 1) - 1
                 c = min(max(int(ox + dx * t), c_low), c_high)
                 r = min(max(int(oy + dy * t), r_low), r_high)
                 s = t

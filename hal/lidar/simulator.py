@@ -16,7 +16,7 @@ from hal.lidar.spec import LidarSpec
 from hal.rotation import rotation_rpy
 from hal.types import POINT_DTYPE, Array, Extrinsics, LidarName, LidarScan
 
-PLANTS = 0x9A55
+PLANT_SEED = 0x9A55
 """Of the seed that leaves are drawn with."""
 MIXED_GAP = (0.10, 1.0)
 """Depth edges [m] at which one pulse sees both sides; beyond the upper one the echoes separate."""
@@ -159,7 +159,7 @@ class LidarSimulator:
         n = len(nominal)
         leaves = np.empty((0, n), np.float32)
         if len(self._plants):  # a generator of its own: what a scene without plants draws stays the same
-            own = np.random.Generator(np.random.SFC64([*self._seed, number, PLANTS]))
+            own = np.random.Generator(np.random.SFC64([*self._seed, number, PLANT_SEED]))
             leaves = own.random((len(self._plants), n), dtype=np.float32)
         beams = np.empty_like(nominal)
         if self._noise and self.spec.angle_sigma > 0.0:

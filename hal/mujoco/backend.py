@@ -15,7 +15,7 @@ from hal.lidar.simulator import LidarSimulator
 from hal.lowlevel import Ground, Locomotion, Sighted
 from hal.mujoco.config import Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
-from hal.mujoco.people import SIZE, People
+from hal.mujoco.people import PERSON_SIZE, People
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
 from hal.postures.modes import Modes
@@ -42,7 +42,7 @@ TRUTH_PERIOD = NS // 50
 STATE_PERIOD = NS // 10
 LIDAR_SLICE = NS // 100
 """Rays are cast this often, from where the sensor is then."""
-BACKLOG = 2 * NS
+MOST_BACKLOG = 2 * NS
 """`read` refuses to advance further in one call: the host's clock jumped."""
 
 
@@ -109,7 +109,7 @@ class MujocoBackend:
             payload=o.payload,
             command_delay=o.command_delay,
             robot=model,
-            boxes=(*(box.size for box in o.obstacles), *[SIZE] * o.people),
+            boxes=(*(box.size for box in o.obstacles), *[PERSON_SIZE] * o.people),
         )
         self._caster = scene.caster() if lidars else None
         self._modes = Modes(self.controller, model.legs)
@@ -153,7 +153,7 @@ class MujocoBackend:
         if not self._connected:
             return []
         target = (now - self.start_time) // self._dt
-        if (target - self._steps) * self._dt > BACKLOG:
+        if (target - self._steps) * self._dt > MOST_BACKLOG:
             raise BackendError(
                 f"asked to simulate {(target - self._steps) * self._dt / NS:.1f} s at once: the clock jumped; "
                 "read at least every 2 s"

@@ -22,7 +22,7 @@ from hal.mujoco.robot import BODY_FRICTION, BOX, Simulated
 
 BASE_THICKNESS = 0.5
 """Ground below the lowest point of the terrain [m]."""
-HIDDEN = (0.0, 0.0, -100.0)
+HIDDEN_PLACE = (0.0, 0.0, -100.0)
 """Where obstacles wait [m]."""
 
 
@@ -120,7 +120,7 @@ def _terrain(
 
 
 def _obstacle(spec: mujoco.MjSpec, index: int, size: tuple[float, float, float]) -> None:
-    body = spec.worldbody.add_body(name=f"box{index}", mocap=True, pos=HIDDEN)
+    body = spec.worldbody.add_body(name=f"box{index}", mocap=True, pos=HIDDEN_PLACE)
     body.add_geom(
         name=f"box{index}",
         type=BOX,

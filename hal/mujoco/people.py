@@ -9,15 +9,15 @@ import numpy as np
 
 from hal.lidar.caster import OrientedBox
 
-SIZE = (0.3, 0.45, 1.7)
+PERSON_SIZE = (0.3, 0.45, 1.7)
 """Of a person: deep, wide, tall [m]."""
-PACE = 0.5, 1.6
+WALK_SPEEDS = 0.5, 1.6
 """Slowest and fastest walk [m/s]."""
-ASIDE = 0.8, 3.0
+PASSING_DISTANCES = 0.8, 3.0
 """Nearest and farthest that a walk passes the place where the robot was when it began [m]."""
-REACH = 4.0
+WALK_REACH = 4.0
 """Half the length of a walk [m]."""
-ROOM = 0.8
+LEAST_ROOM = 0.8
 """Nobody comes nearer to the middle of the robot [m]."""
 
 
@@ -53,17 +53,17 @@ class People:
         y = walk.start[1] + vy * (time - walk.begin)
         dx, dy = x - robot[0], y - robot[1]
         apart = math.hypot(dx, dy)
-        if apart < ROOM:
-            far = ROOM / max(apart, 1e-6)
+        if apart < LEAST_ROOM:
+            far = LEAST_ROOM / max(apart, 1e-6)
             x, y = robot[0] + far * dx, robot[1] + far * dy
-        return OrientedBox((x, y, 0.5 * SIZE[2]), SIZE, math.atan2(vy, vx))
+        return OrientedBox((x, y, 0.5 * PERSON_SIZE[2]), PERSON_SIZE, math.atan2(vy, vx))
 
     def _next(self, k: int, time: float, robot: tuple[float, float]) -> _Walk:
         draw = self._draws[k]
-        heading, speed = draw.uniform(-math.pi, math.pi), draw.uniform(*PACE)
-        side = draw.choice((-1.0, 1.0)) * draw.uniform(*ASIDE)
+        heading, speed = draw.uniform(-math.pi, math.pi), draw.uniform(*WALK_SPEEDS)
+        side = draw.choice((-1.0, 1.0)) * draw.uniform(*PASSING_DISTANCES)
         c, s = math.cos(heading), math.sin(heading)
-        start = robot[0] - REACH * c - side * s, robot[1] - REACH * s + side * c
-        lasts = 2.0 * REACH / speed
+        start = robot[0] - WALK_REACH * c - side * s, robot[1] - WALK_REACH * s + side * c
+        lasts = 2.0 * WALK_REACH / speed
         begin = time if math.isfinite(self._walks[k].end) else time - draw.uniform(0.0, lasts)
         return _Walk(begin, begin + lasts, start, (speed * c, speed * s))

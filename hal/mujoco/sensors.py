@@ -17,9 +17,11 @@ ACCEL_SIGMA, ACCEL_BIAS = 0.06, 0.03
 """[m/s^2]"""
 POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA = 0.0005, 0.02, 0.1
 """Joint encoders and torque estimate: [rad], [rad/s], [Nm]."""
-SIGMA = np.repeat([GYRO_SIGMA, ACCEL_SIGMA, POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA], [3, 3, 16, 16, 16])
+NOISE_SIGMA = np.repeat(
+    [GYRO_SIGMA, ACCEL_SIGMA, POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA], [3, 3, 16, 16, 16]
+)
 
-_BLOCK = 1024
+_BLOCK_LENGTH = 1024
 
 
 class Gaussian:
@@ -27,12 +29,12 @@ class Gaussian:
 
     def __init__(self, random: np.random.Generator, sigma: Array) -> None:
         self._random, self._sigma = random, sigma
-        self._next = _BLOCK
+        self._next = _BLOCK_LENGTH
 
     def row(self) -> Array:
         """(width,)"""
-        if self._next == _BLOCK:
-            self._rows = self._random.standard_normal((_BLOCK, len(self._sigma))) * self._sigma
+        if self._next == _BLOCK_LENGTH:
+            self._rows = self._random.standard_normal((_BLOCK_LENGTH, len(self._sigma))) * self._sigma
             self._next = 0
         self._next += 1
         return self._rows[self._next - 1]
@@ -48,7 +50,7 @@ class Sensors:
         self._gyro_bias = GYRO_BIAS * constant[:3]
         self._accel_bias = ACCEL_BIAS * constant[3:6]
         self._attitude = AttitudeFilter(self._gyro_bias, self._accel_bias)
-        self._gaussian = Gaussian(np.random.default_rng(streams[1]), SIGMA)
+        self._gaussian = Gaussian(np.random.default_rng(streams[1]), NOISE_SIGMA)
 
     def measure(self, state: LowState) -> LowState:
         """One control tick's LowState with errors, in place."""

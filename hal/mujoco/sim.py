@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.limbs import LEGS, MOTORS, WHEELS, wheel_centres
+from hal.limbs import LEGS, MOTORS, WHEEL_JOINTS, wheel_centres
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.contacts import ContactReader, Contacts
-from hal.mujoco.model import HIDDEN, build
+from hal.mujoco.model import HIDDEN_PLACE, build
 from hal.mujoco.robot import Simulated
 from hal.robots import describe
 from hal.types import Array
@@ -38,7 +38,7 @@ _BAD = [
 def stand_command(q: Array, kp: float = STAND_KP) -> LowCommand:
     """Hold the leg pose `q` (16,) [rad] with braked wheels and stiffness `kp` [Nm/rad]."""
     stiffness = np.full(16, kp)
-    stiffness[WHEELS] = 0.0
+    stiffness[WHEEL_JOINTS] = 0.0
     return LowCommand(
         q=np.array(q),
         dq=np.zeros(16),
@@ -283,7 +283,7 @@ class Simulation:
 
     def place_box(self, index: int, centre: tuple[float, float, float] | None, yaw: float = 0.0) -> None:
         """Put box `index` there [m], world; None takes it away."""
-        self.data.mocap_pos[index] = HIDDEN if centre is None else centre
+        self.data.mocap_pos[index] = HIDDEN_PLACE if centre is None else centre
         self.data.mocap_quat[index] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
 
     def step(self, steps: int = 1) -> None:

@@ -10,7 +10,7 @@ from hal.limbs import Limbs, stand_height
 from hal.lowlevel import LowCommand, LowState
 from hal.types import Array
 
-UPRIGHT = 0.85
+UPRIGHT_COSINE = 0.85
 """Cosine of the tilt from which a robot may get up."""
 
 

@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 
 from hal.contract import fulfilled, refusal
-from hal.limbs import WHEELS
+from hal.limbs import WHEEL_JOINTS
 from hal.lowlevel import Locomotion, LowCommand, LowState
-from hal.postures.legs import UPRIGHT, Legs, Righting
+from hal.postures.legs import UPRIGHT_COSINE, Legs, Righting
 from hal.postures.motion import Keyframe, Motion, damped, level_stance
 from hal.rotation import up_of
 from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
@@ -41,7 +41,7 @@ FALLEN_TIME = 0.15
 """... when it lasts this long [s]."""
 STEADY_SPEED = 0.35
 """Wheel speed [rad/s] below which the robot counts as standing still."""
-BRAKE = 8.0
+BRAKE_DAMPING = 8.0
 """[Nms/rad] of the wheels of a robot without legs that sits."""
 MOVING_TIME = 0.5
 """Phase `moving` ends this long [s] after the last command that was not zero."""
@@ -65,7 +65,7 @@ class Modes:
         self._tilted_since: float | None = None
         self._moved = -np.inf
         self._doing = ""
-        self._damped, self._braked = damped(), damped(kd=BRAKE)
+        self._damped, self._braked = damped(), damped(kd=BRAKE_DAMPING)
         self._pending: ModeRequest | None = None
         self._recover_until = -np.inf
 
@@ -129,7 +129,9 @@ class Modes:
         self._deadline = np.inf
 
     def _handle(self, mode: ModeRequest, state: LowState) -> None:
-        why = refusal(mode, self.phase, stopped=self._latched, upright=up_of(state.quaternion)[2] > UPRIGHT)
+        why = refusal(
+            mode, self.phase, stopped=self._latched, upright=up_of(state.quaternion)[2] > UPRIGHT_COSINE
+        )
         if why:
             self.cause = f"{self.cause.split('; ')[0]}; {why}"
         elif fulfilled(mode, self.phase):
@@ -141,7 +143,7 @@ class Modes:
             self._deadline = state.time + SIT_TIMEOUT
         else:
             self._recover_until = state.time + RECOVER_TIMEOUT if mode is ModeRequest.RECOVER else -np.inf
-            if up_of(state.quaternion)[2] > UPRIGHT:
+            if up_of(state.quaternion)[2] > UPRIGHT_COSINE:
                 self._get_up(state, f"{mode.value} requested: getting up")
             else:
                 self._turn_over(state, "recover requested: turning onto its belly")
@@ -178,7 +180,7 @@ class Modes:
 
     def _stop_to_sit(self, state: LowState) -> LowCommand:
         """Brake first: a robot that folds its legs at speed tips over."""
-        steady = np.abs(state.dq[WHEELS]).max() < STEADY_SPEED
+        steady = np.abs(state.dq[WHEEL_JOINTS]).max() < STEADY_SPEED
         if (steady or state.time > self._deadline - SIT_TIMEOUT / 2) and self._legs is None:
             self._enter(Phase.SITTING, "seated", self._hold_seat)
             return self._braked
@@ -206,7 +208,7 @@ class Modes:
         """The seat with the wheels where they have `turned` to (16,)."""
         assert self._legs is not None
         q = self._legs.seat.copy()
-        q[WHEELS] = turned[WHEELS]
+        q[WHEEL_JOINTS] = turned[WHEEL_JOINTS]
         return q
 
     def _get_up(self, state: LowState, cause: str, deadline: float | None = None) -> None:
@@ -240,7 +242,7 @@ class Modes:
 
     def _stance(self, state: LowState) -> LowCommand:
         steady = (
-            np.abs(state.dq[WHEELS]).max() < 2 * STEADY_SPEED
+            np.abs(state.dq[WHEEL_JOINTS]).max() < 2 * STEADY_SPEED
             and up_of(state.quaternion)[2] > 0.8
             and (self._legs is None or self._legs.stretched(state.q))
         )

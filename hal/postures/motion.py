@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hal.limbs import WHEELS, wheel_centres
+from hal.limbs import WHEEL_JOINTS, wheel_centres
 from hal.lowlevel import LowCommand, LowState
 from hal.postures.legs import Legs
 from hal.rotation import up_of
@@ -35,9 +35,9 @@ class Motion:
         self._times = state.time + np.cumsum([0.0, *(f.duration for f in frames)])
         self._poses = [state.q.copy(), *(f.q for f in frames)]
         self._tau = state.tau.copy()
-        self._tau[WHEELS] = 0.0
+        self._tau[WHEEL_JOINTS] = 0.0
         stiffness = np.full(16, kp)
-        stiffness[WHEELS] = 0.0
+        stiffness[WHEEL_JOINTS] = 0.0
         self._command = LowCommand(state.q.copy(), np.zeros(16), np.zeros(16), stiffness, np.full(16, kd))
 
     def done(self, time: float) -> bool:

@@ -17,10 +17,10 @@ from hal.rotation import up_of
 if TYPE_CHECKING:
     from hal.mujoco.sim import Simulation
 
-MASS, PLACE = 0.05, 0.02
+MASS_SHARE, PLACE_TOLERANCE = 0.05, 0.02
 """Share of the mass, and [m] of a wheel's place, by which model and description may differ."""
 
-FALLEN = math.radians(60.0)
+FALLEN_TILT = math.radians(60.0)
 """Tilt of the trunk [rad] that counts as a fall."""
 
 
@@ -38,7 +38,7 @@ def findings(robot: Robot) -> Iterator[Finding]:
     centres = wheel_centres(limbs, robot.pose)
     reach = 2.0 * (np.abs(centres[:, 0]).max() + (limbs.radius if robot.wheeled else 0.0))
     across = 2.0 * np.abs(centres[:, 1]).max() + limbs.tread_width
-    if reach > body.length + 2 * PLACE or across > body.width + 2 * PLACE:
+    if reach > body.length + 2 * PLACE_TOLERANCE or across > body.width + 2 * PLACE_TOLERANCE:
         yield Finding(
             "wrong",
             f"body: {body.length} x {body.width} m is smaller than its wheels reach, {reach:.2f} x {across:.2f} m",
@@ -112,14 +112,14 @@ def _simulation(robot: Robot) -> Iterator[Finding]:
         return
     sim = Simulation(np.zeros((200, 200), np.float32), 0.05, (-5.0, -5.0), robot=model)
     mass = float(sim.model.body_mass.sum())
-    if abs(mass - robot.body.mass) > MASS * robot.body.mass:
+    if abs(mass - robot.body.mass) > MASS_SHARE * robot.body.mass:
         yield Finding("wrong", f"simulated: weighs {mass:.2f} kg, robot.yaml says {robot.body.mass} kg")
     sim.reset()
     world = np.array([sim.data.geom_xpos[sim.model.geom(f"{leg}_wheel").id] for leg in LEGS])
     off = float(
         np.abs((world - sim.position) @ sim.rotation - wheel_centres(robot.limbs, sim.low_state().q)).max()
     )
-    if off > PLACE:
+    if off > PLACE_TOLERANCE:
         yield Finding("wrong", f"simulated: its wheels lie up to {off:.3f} m from where `limbs` says")
     for name in robot.own:
         yield _driven(robot, sim, name, "")
@@ -150,7 +150,7 @@ def _driven(robot: Robot, sim: Simulation, name: str, policy: str) -> Finding:
             begin = sim.position
         driver.step(speed)
         tilt = max(tilt, math.acos(min(up_of(sim.quaternion)[2], 1.0)))
-        if tilt > FALLEN:
+        if tilt > FALLEN_TILT:
             words = f"{name}: told {speed} m/s it falls over after {tick * sim.timestep:.1f} s on flat ground"
             return Finding("wrong", words)
     drove = float(np.linalg.norm((sim.position - begin)[:2])) / 2.0

@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import pi
 from xml.etree import ElementTree as Xml
 
-from hal.limbs import LEGS, SX, SY
+from hal.limbs import LEGS, SIGN_X, SIGN_Y
 from hal.robots.robot import Robot
 
-HEIGHT = 0.10
+BOX_HEIGHT = 0.10
 """Of the body's box [m]."""
-THIN = 0.02
+LIMB_RADIUS = 0.02
 """Radius of a limb [m]."""
 
 
@@ -24,8 +24,8 @@ def outline(robot: Robot) -> str:
     root = Xml.Element("robot", name=robot.name)
     trunk = Xml.SubElement(root, "link", name="base_link")
     limbs = robot.limbs
-    _shape(trunk, "box", (0.0, 0.0, 0.0), size=f"{robot.body.length:.4g} {2 * limbs.hip_y:.4g} {HEIGHT}")
-    for leg, sx, sy in zip(LEGS, SX.tolist(), SY.tolist(), strict=True):
+    _shape(trunk, "box", (0.0, 0.0, 0.0), size=f"{robot.body.length:.4g} {2 * limbs.hip_y:.4g} {BOX_HEIGHT}")
+    for leg, sx, sy in zip(LEGS, SIGN_X.tolist(), SIGN_Y.tolist(), strict=True):
         places = (
             ("hip", (limbs.hip_x * sx, limbs.hip_y * sy, limbs.hip_z), "1 0 0"),
             ("thigh", (0.0, limbs.thigh_y * sy, 0.0), "0 1 0"),
@@ -38,7 +38,7 @@ def outline(robot: Robot) -> str:
             link = Xml.SubElement(root, "link", name=name)
             length = {"thigh": limbs.thigh, "calf": limbs.calf}.get(part, 0.0)
             if length > 0.0:
-                _shape(link, "cylinder", (0.0, 0.0, -length / 2), radius=str(THIN), length=str(length))
+                _shape(link, "cylinder", (0.0, 0.0, -length / 2), radius=str(LIMB_RADIUS), length=str(length))
             if part == "wheel":
                 tread = {"radius": str(limbs.radius), "length": str(limbs.tread_width)}
                 _shape(link, "cylinder", (0.0, limbs.tread_y * sy, 0.0), roll=pi / 2, **tread)

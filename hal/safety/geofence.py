@@ -19,14 +19,14 @@ Size = tuple[float, float]
 """Length and width of the body [m]."""
 Pose = tuple[float, float, float]
 """x, y [m], yaw [rad] in `map`."""
-BESIDE = 0.05
+ROOM_BESIDE = 0.05
 """[m] that a driven body keeps on each side: a robot along a side can still turn off it, with its tail that swings out.
 """
-SAME = 1e-3
+SAME_DEPTH = 1e-3
 """[m] A robot over a side may move where it comes no deeper than so much."""
-LEAST = 0.02
+LEAST_SPEED = 0.02
 """[m/s] Nearer to a side a robot that would be slower stands."""
-STEPS = 4
+STEP_COUNT = 4
 """Of a turn, or of the way out, that are looked at."""
 
 
@@ -133,7 +133,7 @@ class Geofence:
         c, s = math.cos(yaw + course), math.sin(yaw + course)
         free = 0.0 if here > 0.0 else most
         for (x0, y0), (x1, y1) in self._sides():
-            across = 0.5 * width + BESIDE
+            across = 0.5 * width + ROOM_BESIDE
             a, b = (
                 (c * (x0 - x) + s * (y0 - y), c * (y0 - y) - s * (x0 - x)),
                 (c * (x1 - x) + s * (y1 - y), c * (y1 - y) - s * (x1 - x)),
@@ -143,8 +143,13 @@ class Geofence:
                 free = min(free, max(0.0, max(low, 0.0) - margin))
         if free > 0.0:
             return free
-        ways = (self.breach(x + k / STEPS * most * c, y + k / STEPS * most * s) for k in range(1, STEPS + 1))
-        return most if all(way <= here + (SAME if here <= 0.0 else -SAME) for way in ways) else 0.0
+        ways = (
+            self.breach(x + k / STEP_COUNT * most * c, y + k / STEP_COUNT * most * s)
+            for k in range(1, STEP_COUNT + 1)
+        )
+        return (
+            most if all(way <= here + (SAME_DEPTH if here <= 0.0 else -SAME_DEPTH) for way in ways) else 0.0
+        )
 
     def free_turn(self, pose: Pose, most: float, size: Size) -> float:
         """How far [rad] of the turn `most` (positive to the left) the body of `size` stays on the right side. A body
@@ -153,9 +158,9 @@ class Geofence:
         if not most or self.breach(x, y) < -0.5 * math.hypot(*size):
             return most
         here = self._room((x, y, yaw), size)
-        for k in range(1, STEPS + 1):
-            if self._room((x, y, yaw + k / STEPS * most), size) < min(1.0, here - 1e-6):
-                return (k - 1) / STEPS * most
+        for k in range(1, STEP_COUNT + 1):
+            if self._room((x, y, yaw + k / STEP_COUNT * most), size) < min(1.0, here - 1e-6):
+                return (k - 1) / STEP_COUNT * most
         return most
 
     def _room(self, pose: Pose, size: Size) -> float:
@@ -238,7 +243,7 @@ class Fence:
         for polygon in self.polygons:
             free = polygon.free(pose, course, margin, speed * horizon, width) / horizon if known else 0.0
             if free < most:
-                most, by = free if free > LEAST else 0.0, polygon
+                most, by = free if free > LEAST_SPEED else 0.0, polygon
         return most, by
 
     def turn(self, pose: Pose, rate: float, horizon: float, size: Size) -> tuple[float, Geofence | None]:

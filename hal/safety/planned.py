@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.safety.swept import (
-    BEFORE,
     FLAT,
-    SPACING,
+    SAMPLES_BEFORE,
+    TRACK_SPACING,
     Body,
     Surroundings,
     reach_of,
@@ -48,7 +48,7 @@ def known_behind(around: Surroundings, pose: Pose, body: Body, max_gap: float, r
     # Nothing is too high, too low or too steep: what was seen counts, not what it is.
     robot = Capabilities("", max_step=math.inf, max_slope=0.0, max_gap=max_gap)
     tracks = _backward(body, reach + max_gap + 2.0 * around.resolution)  # a gap shows at its other end
-    return min(reach_of(tracks, SPACING, around, pose, FLAT, robot, seen=True).free, reach)
+    return min(reach_of(tracks, TRACK_SPACING, around, pose, FLAT, robot, seen=True).free, reach)
 
 
 def free_turn(
@@ -57,7 +57,7 @@ def free_turn(
     """How far [rad], at most the size of `turn`, a body at `pose` may turn on the spot, to the left if `turn` is
     positive. Of `robot` counts what it drives over; `spare` [m] is kept on all sides of the body."""
     body = Body.of(robot)
-    samples = BEFORE + math.ceil(abs(turn) / turn_step(body)) + 1
+    samples = SAMPLES_BEFORE + math.ceil(abs(turn) / turn_step(body)) + 1
     tracks = np.ascontiguousarray(_turning(body, math.copysign(1.0, turn), spare)[:, :samples])
     found = reach_of(tracks, turn_step(body), around, pose, FLAT, robot, seen=False)
     return min(found.free, abs(turn)) if found.kind else abs(turn)

@@ -25,14 +25,14 @@ from hal.kernels import inlined, select
 from hal.raster import cell_of
 from hal.types import Array, Capabilities
 
-SPACING = 0.02
+TRACK_SPACING = 0.02
 """[m] between tracks and between the samples of one: half a cell of the map."""
-BEFORE = 8
+SAMPLES_BEFORE = 8
 """Samples of a track under the body, for the height it begins with: more than a gap spans, so that a gap under the
 front has its rim on the track."""
-WITHIN = 4
+FACE_SAMPLES = 4
 """Samples over which a face may spread: two cells of the map."""
-NOISE = 0.04
+FACE_NOISE = 0.04
 """[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise.
 """
 NOISE_SIGMAS, MOST_NOISE = 3.0, 0.08
@@ -40,7 +40,7 @@ NOISE_SIGMAS, MOST_NOISE = 3.0, 0.08
 [m]: a height that one point of a LiDAR told is as uncertain as that point."""
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
-POINTS = 3
+LEAST_POINTS = 3
 """Returns in one cell that count as something there."""
 
 WHEELS, LIDAR, PLANTS, TOUCHED, HOLE = 1, 2, 5, 6, 7
@@ -122,7 +122,7 @@ def straight_tracks(reach: float, sign: float, whole: Body, part: Body | None = 
     across = _spaced(-whole.right, whole.left)
     end = whole.front if sign > 0.0 else -whole.back
     rim = (part or whole).clipped(np.column_stack([np.full_like(across, end), across]))
-    ahead = sign * SPACING * np.arange(-BEFORE, math.ceil(reach / SPACING) + 1)
+    ahead = sign * TRACK_SPACING * np.arange(-SAMPLES_BEFORE, math.ceil(reach / TRACK_SPACING) + 1)
     return rim[:, None, :] + np.column_stack([ahead, np.zeros_like(ahead)])
 
 
@@ -143,27 +143,27 @@ def turn_tracks(
     angle = sign * turn_step(whole) * np.arange(math.ceil(reach / turn_step(whole)) + 1)
     c, s = np.cos(angle), np.sin(angle)
     swept = np.stack([rim[:, :1] * c - rim[:, 1:] * s, rim[:, :1] * s + rim[:, 1:] * c], axis=2)
-    inwards = SPACING / np.hypot(rim[:, 0], rim[:, 1])[:, None, None]
-    inner = rim[:, None, :] * (1.0 - inwards * np.arange(BEFORE, 0, -1)[:, None])
+    inwards = TRACK_SPACING / np.hypot(rim[:, 0], rim[:, 1])[:, None, None]
+    inner = rim[:, None, :] * (1.0 - inwards * np.arange(SAMPLES_BEFORE, 0, -1)[:, None])
     return np.concatenate([inner, swept], axis=1)
 
 
 def shells(tracks: Callable[[Body, Body], Array], whole: Body, part: Body) -> Array:
     """(shells, tracks, samples, 2): the tracks of a `part` of the body, and outside of it those of parts that are
-    larger by SPACING, up to the `whole` one. `tracks` takes both."""
+    larger by TRACK_SPACING, up to the `whole` one. `tracks` takes both."""
     lacks = np.array(whole) - part
-    count = math.ceil(lacks.max() / SPACING - 1e-9)
-    parts = [Body(*(whole - np.maximum(lacks - k * SPACING, 0.0)).tolist()) for k in range(count + 1)]
+    count = math.ceil(lacks.max() / TRACK_SPACING - 1e-9)
+    parts = [Body(*(whole - np.maximum(lacks - k * TRACK_SPACING, 0.0)).tolist()) for k in range(count + 1)]
     return np.stack([tracks(whole, each) for each in parts])
 
 
 def turn_step(whole: Body) -> float:
-    """[rad] between two samples of a turn: the corners of the body move by SPACING."""
-    return SPACING / whole.corner
+    """[rad] between two samples of a turn: the corners of the body move by TRACK_SPACING."""
+    return TRACK_SPACING / whole.corner
 
 
 def _spaced(low: float, high: float) -> Array:
-    return np.linspace(low, high, math.ceil((high - low) / SPACING - 1e-9) + 1)
+    return np.linspace(low, high, math.ceil((high - low) / TRACK_SPACING - 1e-9) + 1)
 
 
 @lru_cache(maxsize=4)
@@ -212,7 +212,7 @@ def reach_of(
     `seen`: on ground that the map knows alone. Tracks of the whole body (tracks, samples, 2), with a `wall` (rows,
     cols) that the body touches the `shells` of what of it is in none.
     """
-    gap = math.ceil((robot.max_gap + around.resolution) / SPACING)
+    gap = math.ceil((robot.max_gap + around.resolution) / TRACK_SPACING)
     tracks = tracks if tracks.ndim == 4 else tracks[None]
     sample, kind, height = nearest_obstacle(
         tracks,
@@ -229,12 +229,12 @@ def reach_of(
         float(pose[1]),
         float(pose[2]),
         stand,
-        robot.max_step + NOISE,
-        math.tan(robot.max_slope) * SPACING,
+        robot.max_step + FACE_NOISE,
+        math.tan(robot.max_slope) * TRACK_SPACING,
         gap,
         gap if seen else tracks.shape[2],
     )
-    return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height)
+    return Reach(max(0.0, (sample - SAMPLES_BEFORE - 1) * step), kind, height)
 
 
 def leaves_on(
@@ -248,7 +248,7 @@ def leaves_on(
     if first_leaf(under(whole), *where) == 0:
         return 0.0
     sample = first_leaf(tracks, *where)
-    return max(0.0, (sample - BEFORE) * step) if sample < tracks.shape[1] else math.inf
+    return max(0.0, (sample - SAMPLES_BEFORE) * step) if sample < tracks.shape[1] else math.inf
 
 
 @njit(cache=True)
@@ -363,18 +363,18 @@ def nearest_obstacle(
             # The newest sample whose ground is believed, and its height: first the plane that the robot stands on.
             last = 0
             level = stand[0] + stand[1] * tracks[layer, k, 0, 0] + stand[2] * tracks[layer, k, 0, 1]
-            known = BEFORE  # newest sample the map knows; what is under the body counts
+            known = SAMPLES_BEFORE  # newest sample the map knows; what is under the body counts
             landed = 0  # behind a gap: what lies in it is not driven on
             # Height of a gap's near rim, and the sample up to which the far rim may lie.
             rim, over = np.nan, -1
             end, what, much = samples, CLEAR, 0.0
             i = 0
             while i < samples:
-                if busy[i] and i > BEFORE:
+                if busy[i] and i > SAMPLES_BEFORE:
                     if i < end:
                         end, what = i, SWEEP
                     break
-                if wide[i] and i > BEFORE and not walled[k, i]:
+                if wide[i] and i > SAMPLES_BEFORE and not walled[k, i]:
                     at = min(i, known + 1)
                     if at <= end:
                         end, what = at, GAP
@@ -394,24 +394,24 @@ def nearest_obstacle(
                     worst = ground[i] - level
                     worst = _told(worst, spread[i] + spread[last], limit)
                     if worst > 0.0 and not felt[i]:
-                        worst = max(0.0, worst - rise * max(0, i - last - WITHIN // 2))
-                    for j in range(max(landed, i - WITHIN), last):
+                        worst = max(0.0, worst - rise * max(0, i - last - FACE_SAMPLES // 2))
+                    for j in range(max(landed, i - FACE_SAMPLES), last):
                         if not low[j] and not math.isnan(ground[j]):
                             other = ground[i] - ground[j]
-                            other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
+                            other = math.copysign(max(0.0, abs(other) - rise * FACE_SAMPLES / 2), other)
                             other = _told(other, spread[i] + spread[j], limit)
                             if abs(other) > abs(worst):
                                 worst = other
                 plane = stand[0] + stand[1] * tracks[layer, k, i, 0] + stand[2] * tracks[layer, k, i, 1]
                 at_rim = i <= over and abs(ground[i] - rim) <= limit
-                if worst > limit and (at_rim or (i <= BEFORE and abs(ground[i] - plane) <= limit)):
+                if worst > limit and (at_rim or (i <= SAMPLES_BEFORE and abs(ground[i] - plane) <= limit)):
                     # The far rim, with cells half over the gap before it; under the body, where the near one may lie
                     # behind the track's begin, the height that the robot stands at tells it.
                     last, level, landed, known, i = i, ground[i], i, max(known, i), i + 1
                     continue
                 if worst < -limit and not felt[i] and not math.isnan(level):
                     rim, over = level, last + gap + 1
-                if abs(worst) > limit and (i <= BEFORE or felt[i]):
+                if abs(worst) > limit and (i <= SAMPLES_BEFORE or felt[i]):
                     # A wall beside the body that the map shows a cell too near, or a wheel in the air.
                     low[i] = True
                     known = max(known, i)
@@ -421,7 +421,7 @@ def nearest_obstacle(
                     across = -1
                     if worst < 0.0:
                         for j in range(i + 1, min(samples, last + 1 + gap + 1)):
-                            if wide[j] and j > BEFORE and not walled[k, j]:
+                            if wide[j] and j > SAMPLES_BEFORE and not walled[k, j]:
                                 break
                             if (
                                 not (low[j] or felt[j] or math.isnan(ground[j]))

@@ -16,32 +16,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hal.limbs import SX, SY, Limbs, wheel_centres
+from hal.limbs import SIGN_X, SIGN_Y, Limbs, wheel_centres
 from hal.raster import cell_of
 from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Body, Surroundings
 from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
 from hal.wheel_force import is_rigid, wheel_loads, wheel_pushes
 
-PAYLOAD, WEIGH_TIME = 26.0, 1.0
+MOST_PAYLOAD, WEIGH_TIME = 26.0, 1.0
 """[kg] at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope pushes
 nothing."""
 UP = np.array([0.0, 0.0, 1.0])
-SHORT = 0.85
+SHORT_SHARE = 0.85
 """A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against
 each other in a bend."""
-DRIVES = 0.03
+DRIVE_SPEED = 0.03
 """[m/s] A robot that is commanded slower than this drives nowhere."""
-PUSHED = 12.0
+LEAST_PUSH = 12.0
 """[N] A wheel that is pushed back less than this is not held."""
-STRAIN = 0.3
+STRAIN_SHARE = 0.3
 """Share of a wheel's push that the wheel behind or before it feels as well when the robot turns: it is no obstacle
 then."""
-TURN = 60.0
+TURN_PUSH = 60.0
 """[N s/rad] A turn pushes wheels back as well: what more it takes then."""
-FACE = 0.04
+FACE_HEIGHT = 0.04
 """[m] Ground that lies this far off the plane that the robot stands on is a face to climb."""
-EDGE = 0.025
+EDGE_HEIGHT = 0.025
 """[m] The map explains a held wheel from here on: an edge of this height takes as much push as a wheel carries (its
 radius is 0.086 m), and the map tells no lower one from its noise."""
 PUSH_TIME = 0.3
@@ -49,20 +49,20 @@ PUSH_TIME = 0.3
 long: on a face a shank comes and goes."""
 WHEEL_TIME = 0.09
 """[s] that a wheel is held. One that jumps over a pebble is held for less."""
-NEAR, BELOW = 0.06, 0.04
+NEAR_LEVEL, NEAR_BELOW = 0.06, 0.04
 """[m] Ground of the map no farther from a part of the robot on the level, and no more below it, touches it: a cell and
 a half, and the half of a wheel's radius."""
-SHANK = (0.0, 0.25, 0.5, 0.75)
+SHANK_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Places on a shank, shares of the way from the knee to the axle; what its end meets, the wheel meets as well."""
-UNDERSIDE = 0.05
+UNDERSIDE_DEPTH = 0.05
 """[m] of the trunk below base_link."""
-AHEAD = 0.2
+REACH_AHEAD = 0.2
 """[m] beyond the end of the body: what lies farther away holds no wheel."""
-BESIDE = 0.05
+REACH_BESIDE = 0.05
 """[m] beside the body: a wall there holds a wheel that scrapes it."""
-CELLS = 3
+LEAST_CELLS = 3
 """Cells that must lie off the plane: one may be noise."""
-LONGEST = 0.05
+LONGEST_STEP = 0.05
 """[s] between joint samples that count: after a gap the first one counts no longer than this."""
 
 
@@ -115,7 +115,7 @@ class TouchWatch:
         """What is touched just now, by a robot that is commanded to drive at `vx` [m/s], `wz` [rad/s] where the map is
         `uneven` [m] ahead of the wheels and under them, and comes up to its body or not. `speed`: measured, forward
         [m/s]; None: not known."""
-        elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST)
+        elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST_STEP)
         self._stamp = sample.stamp
         if self._count:
             self._accel = self._sum / self._count
@@ -123,13 +123,15 @@ class TouchWatch:
         load = float(wheel_loads(self._limbs, sample.position, sample.effort, UP).sum())
         if math.isfinite(load):
             weighed = load / max(float(self._accel[2]), 0.5 * GRAVITY) - self._sprung
-            self._mass += elapsed / WEIGH_TIME * (self._sprung + min(max(weighed, 0.0), PAYLOAD) - self._mass)
-        if abs(vx) < DRIVES:
+            self._mass += (
+                elapsed / WEIGH_TIME * (self._sprung + min(max(weighed, 0.0), MOST_PAYLOAD) - self._mass)
+            )
+        if abs(vx) < DRIVE_SPEED:
             self._body, self._wheel = 0.0, np.zeros(4)
             return None
         way = math.copysign(1.0, vx)
         back = -way * wheel_pushes(self._limbs, sample.position, sample.effort)
-        slow = speed is None or way * speed < SHORT * abs(vx)
+        slow = speed is None or way * speed < SHORT_SHARE * abs(vx)
         push = -way * self._mass * self._accel[0] - back.sum() if slow else 0.0
         if near_body or sample.stamp < self._explained:  # the clock was set back
             self._explained = sample.stamp
@@ -138,17 +140,17 @@ class TouchWatch:
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]
         alone = (
-            (way * SX > 0.0) & (back > PUSHED) & (beside < STRAIN * back)
+            (way * SIGN_X > 0.0) & (back > LEAST_PUSH) & (beside < STRAIN_SHARE * back)
         )  # a wheel behind rolls where one rolled
-        worst = np.where(alone & self._joints_tell, back - others - TURN * abs(wz), 0.0)
+        worst = np.where(alone & self._joints_tell, back - others - TURN_PUSH * abs(wz), 0.0)
         for leg in range(4):
-            more = slow and uneven < EDGE and monitors.TOUCHED.outside(float(worst[leg]))
+            more = slow and uneven < EDGE_HEIGHT and monitors.TOUCHED.outside(float(worst[leg]))
             self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)
         if monitors.TOUCHED.outside(self._body, high=self._force):
             return self._tell(Touch(way, 0.0))
         if self._wheel.max() >= WHEEL_TIME:
             leg = int(self._wheel.argmax())
-            return self._tell(Touch(way, float(SY[leg]) * self._limbs.tread))
+            return self._tell(Touch(way, float(SIGN_Y[leg]) * self._limbs.tread))
         return None
 
     def _tell(self, touch: Touch) -> Touch:
@@ -157,25 +159,25 @@ class TouchWatch:
 
 
 def uneven(around: Surroundings, pose: tuple[float, float, float], body: Body) -> tuple[float, float]:
-    """How far [m] the ground under the `body` and AHEAD of it, and that under it and as far behind it, lies off the
-    plane under the body.
+    """How far [m] the ground under the `body` and REACH_AHEAD of it, and that under it and as far behind it, lies off
+    the plane under the body.
 
     `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because
     the trunk is level on a slope, too."""
     x, y, yaw = (float(v) for v in pose)
     front, side = body.front, body.left
-    dx, dy, ground = _measured(around, x, y, math.hypot(front + AHEAD, side + BESIDE))
+    dx, dy, ground = _measured(around, x, y, math.hypot(front + REACH_AHEAD, side + REACH_BESIDE))
     c, s = math.cos(yaw), math.sin(yaw)
     along, across = c * dx + s * dy, c * dy - s * dx
-    near = (np.abs(along) <= front + AHEAD) & (np.abs(across) <= side + BESIDE)
+    near = (np.abs(along) <= front + REACH_AHEAD) & (np.abs(across) <= side + REACH_BESIDE)
     terms, ground = np.column_stack([np.ones_like(along), along, across])[near], ground[near]
     under = (np.abs(terms[:, 1]) <= front) & (np.abs(terms[:, 2]) <= side)
-    if np.count_nonzero(under) < CELLS:
+    if np.count_nonzero(under) < LEAST_CELLS:
         return 0.0, 0.0
     plane = np.linalg.lstsq(terms[under], ground[under], rcond=1e-3)[0]
     off = np.abs(ground - terms @ plane)
     ahead, behind = (np.sort(off[way * terms[:, 1] >= -front]) for way in (1.0, -1.0))
-    return float(ahead[-CELLS]), float(behind[-CELLS])
+    return float(ahead[-LEAST_CELLS]), float(behind[-LEAST_CELLS])
 
 
 def near_body(
@@ -190,15 +192,17 @@ def near_body(
 
     `place`: x, y, z [m] of base_link; `rotation`: (3, 3) from base_link to `map`; `q`: (16,) joint angles [rad]."""
     # A limb of a shorter calf without a tread ends on the shank.
-    shanks = [wheel_centres(limbs._replace(calf=share * limbs.calf, tread_y=0.0), q) for share in SHANK]
-    along, across = np.linspace(-body.back, body.front, 2 * len(SHANK)), (-limbs.hip_y, limbs.hip_y)
-    trunk = np.array([(x, y, -UNDERSIDE) for x in along for y in across])
+    shanks = [
+        wheel_centres(limbs._replace(calf=share * limbs.calf, tread_y=0.0), q) for share in SHANK_SHARES
+    ]
+    along, across = np.linspace(-body.back, body.front, 2 * len(SHANK_SHARES)), (-limbs.hip_y, limbs.hip_y)
+    trunk = np.array([(x, y, -UNDERSIDE_DEPTH) for x in along for y in across])
     parts = np.concatenate([*shanks, trunk]) @ rotation.T
     dx, dy, ground = _measured(
-        around, place[0], place[1], float(np.hypot(parts[:, 0], parts[:, 1]).max()) + NEAR
+        around, place[0], place[1], float(np.hypot(parts[:, 0], parts[:, 1]).max()) + NEAR_LEVEL
     )
-    level = np.hypot(dx - parts[:, :1], dy - parts[:, 1:2]) <= NEAR
-    return bool((level & (ground - place[2] >= parts[:, 2:] - BELOW)).any())
+    level = np.hypot(dx - parts[:, :1], dy - parts[:, 1:2]) <= NEAR_LEVEL
+    return bool((level & (ground - place[2] >= parts[:, 2:] - NEAR_BELOW)).any())
 
 
 def _measured(around: Surroundings, x: float, y: float, reach: float) -> tuple[Array, Array, Array]:

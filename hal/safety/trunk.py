@@ -12,14 +12,14 @@ from hal.types import NS, Capabilities, PostureCommand
 
 TILT_RATE = 0.8
 """[rad/s] of the trunk in either direction: 12 deg take 0.26 s, and sweeps of 10 Hz still lie 5 deg apart."""
-LAG = 0.5
+LEVEL_LAG = 0.5
 """[s] after which a trunk that is told to be level is: the simulated one follows 0.13 s late, and its last 3 deg take
 0.4 s."""
-STANDS = 0.3
+STANDING_TIME = 0.3
 """[s] for which the velocity has been zero before the trunk tilts."""
 AT_REST = 0.1
 """[m/s] measured, up to which a robot counts as standing; yaw rates half, in rad/s."""
-MOST = 0.5
+TILT_SHARE = 0.5
 """Share of the gate's `max_tilt` from which a trunk tilts no further by command."""
 
 
@@ -38,7 +38,7 @@ class TrunkTilt:
         self._tilted: int | None = None
         """When it was told to tilt last [ns]."""
         self.level = True
-        """The trunk has been told to be level for `LAG`."""
+        """The trunk has been told to be level for `LEVEL_LAG`."""
 
     def command(self, command: PostureCommand, now: int, latched: str) -> Refusal | None:
         """Take a tilt, or say why not; `latched`: why the gate is, empty where it is not."""
@@ -79,17 +79,17 @@ class TrunkTilt:
         )
         if (self.output.roll, self.output.pitch) != (0.0, 0.0):
             self._tilted = now
-        self.level = self._tilted is None or not 0 <= now - self._tilted < LAG * NS
+        self.level = self._tilted is None or not 0 <= now - self._tilted < LEVEL_LAG * NS
 
     def _why_not(self, now: int, inputs: GateInputs, zero_since: int | None) -> str:
-        if zero_since is None or (now - zero_since) / NS < STANDS:
+        if zero_since is None or (now - zero_since) / NS < STANDING_TIME:
             return "the robot moves, or is held"
         if not self.level:
             return ""
         speed = inputs.velocity or (0.0, 0.0, 0.0)
         if not max(math.hypot(*speed[:2]), 0.5 * abs(speed[2])) <= AT_REST:
             return "the robot moves"
-        limit = MOST * self._params.max_tilt
+        limit = TILT_SHARE * self._params.max_tilt
         return (
             "" if inputs.tilt is not None and inputs.tilt <= limit else f"it leans more than {limit:.2f} rad"
         )

@@ -7,10 +7,10 @@ from collections import deque
 
 from hal.safety.gate_types import GateConfig, GateInputs
 from hal.safety.monitors import MOVES_UNTOLD
-from hal.safety.slope import CREEP, SLOPE
+from hal.safety.slope import CREEP_SLOPE, CREEP_SPEED
 from hal.types import NS
 
-SAMPLE = NS // 50
+SAMPLE_PERIOD = NS // 50
 """[ns] between two samples."""
 NOTHING = (math.nan,) * 3
 
@@ -19,8 +19,8 @@ class Untold:
     """Averages over `moving_stop`: sway is no motion.
 
     Wheels and odometry must agree, the slower counts: a wheel that spins or an odometry that drifts is no motion.
-    Odometry alone counts from `CREEP` on, as of a robot that slides; so does what leads down a slope. Where one of them
-    is silent the other counts.
+    Odometry alone counts from `CREEP_SPEED` on, as of a robot that slides; so does what leads down a slope. Where one
+    of them is silent the other counts.
     """
 
     def __init__(self, params: GateConfig) -> None:
@@ -43,7 +43,9 @@ class Untold:
         if self._since is None or now < self._since:
             self.forget()
             self._since = now
-        if (now - self._since) / NS < p.braking_time or (self._heard and now - self._heard[-1][0] < SAMPLE):
+        if (now - self._since) / NS < p.braking_time or (
+            self._heard and now - self._heard[-1][0] < SAMPLE_PERIOD
+        ):
             return ""
         self._heard.append((now, *(inputs.velocity or NOTHING), *(inputs.wheels or NOTHING[:2])))
         if now - self._heard[0][0] < p.moving_stop * NS:
@@ -61,12 +63,12 @@ class Untold:
         if not speeds or not turns:
             return ""
         uphill = vx * lean[0] + vy * lean[1] if math.isfinite(vx) else wheels * lean[0]
-        downhill = math.hypot(*lean) > math.sin(SLOPE) and uphill < 0.0
+        downhill = math.hypot(*lean) > math.sin(CREEP_SLOPE) and uphill < 0.0
         speed, least = max(min(speeds), min(turns)), self._params.moving_speed
         self.creeps = speed if downhill and speed > least else 0.0
-        if MOVES_UNTOLD.outside(speed, high=CREEP if downhill else least):
+        if MOVES_UNTOLD.outside(speed, high=CREEP_SPEED if downhill else least):
             return MOVES_UNTOLD.tell(speed=f"{speed:.2f}")
-        if MOVES_UNTOLD.outside(speeds[0], high=CREEP):
+        if MOVES_UNTOLD.outside(speeds[0], high=CREEP_SPEED):
             return MOVES_UNTOLD.tell(speed=f"{speeds[0]:.2f}")
         return ""
 

@@ -19,18 +19,18 @@ Field = NDArray[np.float64]
 
 HALF_RAMP = 0.6
 """Length of a half ramp [m]."""
-BAR = 0.10
+BAR_WIDTH = 0.10
 """Width of a bar or rail [m]."""
-PIT = -0.4
+PIT_DEPTH = -0.4
 """Depth of a gap [m]."""
-TRACK = 0.386
+TRACK_WIDTH = 0.386
 """Between the middle planes of left and right wheels [m]."""
 
-SHARE = {1: (0.30, 0.45), 2: (0.50, 0.65), 3: (0.70, 0.80), 4: (0.90, 1.00)}
+HEIGHT_SHARES = {1: (0.30, 0.45), 2: (0.50, 0.65), 3: (0.70, 0.80), 4: (0.90, 1.00)}
 """Share of what the robot drives over that the elements of a level ask for."""
-OBLIQUE = {1: 15.0, 2: 30.0, 3: 45.0, 4: 60.0}
+MOST_OBLIQUE = {1: 15.0, 2: 30.0, 3: 45.0, 4: 60.0}
 """Largest angle [deg] between a face and the head-on way over it."""
-PASSAGE = {1: 0.85, 2: 0.80, 3: 0.75, 4: 0.70}
+PASSAGE_WIDTHS = {1: 0.85, 2: 0.80, 3: 0.75, 4: 0.70}
 """Width beside a thin wall [m]; the body is 0.43 m wide."""
 
 
@@ -45,12 +45,12 @@ class Grade:
 
     def draw(self, random: np.random.Generator, what: str) -> float:
         """A value of the level for `what` of `Lanes.within`."""
-        low, high = SHARE[self.level]
+        low, high = HEIGHT_SHARES[self.level]
         return self.robot.within[what] * float(random.uniform(low, high))
 
     def angle(self, random: np.random.Generator) -> float:
         """Signed angle [rad] of a face to the head-on way over it."""
-        most = OBLIQUE[self.level]
+        most = MOST_OBLIQUE[self.level]
         return radians(float(random.choice([-1.0, 1.0]) * random.uniform(max(0.0, most - 20.0), most)))
 
 
@@ -92,7 +92,7 @@ def crossing(random: np.random.Generator, grade: Grade) -> Element:
     The face between the columns and the roll of a robot astride it stay inside the level.
     """
     slope = radians(grade.draw(random, "slope"))
-    top = min(HALF_RAMP * tan(slope), grade.draw(random, "step"), TRACK * tan(slope))
+    top = min(HALF_RAMP * tan(slope), grade.draw(random, "step"), TRACK_WIDTH * tan(slope))
 
     def height(s: Field, t: Field) -> Field:
         left = np.where(s < 4 * HALF_RAMP, wave(s, HALF_RAMP), 0.0)
@@ -104,13 +104,13 @@ def crossing(random: np.random.Generator, grade: Grade) -> Element:
 def bars(random: np.random.Generator, grade: Grade) -> Element:
     """Bars 0.10 m wide across the lane at an angle: two, one where the angle is large."""
     high, angle = grade.draw(random, "bar"), grade.angle(random)
-    lean = abs(tan(angle)) * 0.5 * grade.width + 0.5 * BAR / cos(angle)
+    lean = abs(tan(angle)) * 0.5 * grade.width + 0.5 * BAR_WIDTH / cos(angle)
     at = [lean, lean + 0.8] if abs(angle) < radians(35.0) else [lean]
 
     def height(s: Field, t: Field) -> Field:
         z = np.zeros_like(s)
         for middle in at:
-            z[np.abs((s - middle) * cos(angle) + t * sin(angle)) <= 0.5 * BAR] = high
+            z[np.abs((s - middle) * cos(angle) + t * sin(angle)) <= 0.5 * BAR_WIDTH] = high
         return z
 
     return Element("bars", at[-1] + lean, height)
@@ -136,7 +136,7 @@ def rails(random: np.random.Generator, grade: Grade) -> Element:
     def height(s: Field, t: Field) -> Field:
         z = np.zeros_like(s)
         for k, turn in enumerate((side, -side)):
-            z[np.abs(s - (k + 0.5) * (width + 0.2) + turn * t) <= 0.5 * BAR * 2.0**0.5] = high
+            z[np.abs(s - (k + 0.5) * (width + 0.2) + turn * t) <= 0.5 * BAR_WIDTH * 2.0**0.5] = high
         return z
 
     return Element("rails", 2 * (width + 0.2), height)
@@ -158,7 +158,7 @@ def gaps(random: np.random.Generator, grade: Grade) -> Element:
     """Two gaps across the lane, 1.0 m apart, and level ground behind them: the next element may begin with a gap."""
     # A gap that no cell centre lies in does not exist: at least two cells of 0.02 m.
     wide = max(grade.draw(random, "gap"), 0.04)
-    return Element("gaps", 1.3 + wide, lambda s, t: np.where((s % 1.0 < wide) & (s < 1.2), PIT, 0.0))
+    return Element("gaps", 1.3 + wide, lambda s, t: np.where((s % 1.0 < wide) & (s < 1.2), PIT_DEPTH, 0.0))
 
 
 def platform(random: np.random.Generator, grade: Grade) -> Element:
@@ -192,7 +192,7 @@ def rough(random: np.random.Generator, grade: Grade) -> Element:
 def thin_wall(random: np.random.Generator, grade: Grade) -> Element:
     """A wall along the lane that leaves a passage on one side and no room on the other."""
     side = float(random.choice([-1.0, 1.0]))
-    passage = PASSAGE[grade.level]
+    passage = PASSAGE_WIDTHS[grade.level]
     at = side * (passage - 0.5 * grade.width)
     beside = at - side * 0.5 * passage
     return Element("thin_wall", 3.0, lambda s, t: np.zeros_like(s), beside, (1.2, 1.8, at))
@@ -217,8 +217,8 @@ def blocker(random: np.random.Generator, grade: Grade) -> Element:
         return Element(
             what, 2 * run + 0.6, lambda s, t: rise * np.clip(np.minimum(s, 2 * run + 0.6 - s), 0.0, run)
         )
-    length = {"step": 0.8, "bar": BAR, "gap": value}[what]
-    return Element(what, length, lambda s, t: np.full_like(s, PIT if what == "gap" else value))
+    length = {"step": 0.8, "bar": BAR_WIDTH, "gap": value}[what]
+    return Element(what, length, lambda s, t: np.full_like(s, PIT_DEPTH if what == "gap" else value))
 
 
 Maker = Callable[[np.random.Generator, Grade], Element]

@@ -12,7 +12,7 @@ from PIL import Image
 from hal.npzfile import DamagedFile, read_npy, read_npz
 from hal.regular import open_regular
 from hal.scenes.barn import read_world
-from hal.scenes.foreign import NODATA, read_las, read_tif, resolution_for, understood
+from hal.scenes.foreign import NODATA_HEIGHTS, read_las, read_tif, resolution_for, understood
 from hal.scenes.gridding import fill, grid, place_start
 from hal.scenes.readers import read_geometry
 from hal.scenes.scene import Geometry, Goal, Pose, Scene, SceneError
@@ -126,7 +126,7 @@ def _read_npy(path: Path) -> NDArray[np.float64]:
 
 def _heights(array: NDArray[np.float64]) -> NDArray[np.float32]:
     """With NaN where the model says that there is none."""
-    return np.where(np.isin(array, NODATA) | (np.abs(array) > 1e6), np.nan, array).astype(np.float32)
+    return np.where(np.isin(array, NODATA_HEIGHTS) | (np.abs(array) > 1e6), np.nan, array).astype(np.float32)
 
 
 def _read_png(

@@ -16,13 +16,13 @@ from hal.scenes.scene import Geometry, SceneError
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 """Metres of a unit."""
 UPS = ("z", "y")
-BROAD = 1000.0
+BROAD_FILE = 1000.0
 """A file without a place on earth that is broader than this [m] is taken for millimetres."""
-THIN = 0.4
+THIN_SHARE = 0.4
 """Ground is thin along its up axis: y is up where its extent is below this share of both others'."""
-NODATA = (-9999.0, -32768.0, -32767.0, -99999.0)
+NODATA_HEIGHTS = (-9999.0, -32768.0, -32767.0, -99999.0)
 """Heights that stand for none in elevation models whose file does not say so; beyond 1e6 nothing is a height."""
-FAR = 5000.0
+FAR_COORDINATE = 5000.0
 """Coordinates beyond [m] are of a country's grid: they are counted from the corner of the file."""
 
 
@@ -106,7 +106,7 @@ def read_tif(
     try:
         holes |= height == float(str(tags[42113]).strip("\0 "))
     except (KeyError, ValueError):
-        holes |= np.isin(height, NODATA)
+        holes |= np.isin(height, NODATA_HEIGHTS)
     height[holes] = np.nan
     if holes.all():
         raise SceneError(f"{path.name}: holds no height: every cell is nodata")
@@ -118,7 +118,7 @@ def read_tif(
         )
         south = north - (height.shape[0] - 1) * resolution
         origin = (west, south)
-        if max(abs(west), abs(south)) > FAR:
+        if max(abs(west), abs(south)) > FAR_COORDINATE:
             words, origin = f"x, y count from ({west:.2f}, {south:.2f}) of its grid", (0.0, 0.0)
     return height[::-1].astype(np.float32), resolution, origin, words
 
@@ -133,18 +133,18 @@ def understood(geometry: Geometry, units: str | None, up: str | None, local: boo
     vertices, words = np.asarray(geometry.vertices, np.float64), []
     low, high = np.quantile(vertices, [0.01, 0.99], axis=0) if len(vertices) else (np.zeros(3), np.zeros(3))
     size = high - low
-    if up is None and not local and 0.0 < size[1] < THIN * min(size[0], size[2]):
+    if up is None and not local and 0.0 < size[1] < THIN_SHARE * min(size[0], size[2]):
         up = "y"
         words.append("y is up, by its extent (--up z for z)")
     if up == "y":
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
         size = size[[0, 2, 1]]
-    if units is None and not local and max(size[0], size[1]) > BROAD:
+    if units is None and not local and max(size[0], size[1]) > BROAD_FILE:
         units = "mm"
         words.append(f"its {max(size[0], size[1]):.0f} units are millimetres (--units m for metres)")
     vertices = vertices * UNITS[units or "m"]
     corner = vertices.min(axis=0)[:2]
-    if np.abs(corner).max() > FAR:
+    if np.abs(corner).max() > FAR_COORDINATE:
         shift = np.floor(corner)
         vertices = vertices - [*shift, 0.0]
         words.append(f"x, y count from ({shift[0]:.0f}, {shift[1]:.0f}) of its grid")

@@ -17,16 +17,16 @@ MAX_FACED = 20 * MAX_CELLS
 """Cells within the bounding boxes of all faces."""
 MAX_COORDINATE = 10_000.0
 """[m]; beyond, single precision no longer holds a millimetre."""
-HEADROOM = 0.8
+LEAST_HEADROOM = 0.8
 """Free height [m] over ground under a ceiling; what hangs lower stands on the ground. As `clearance` of the elevation
 map."""
-SAME = 1e-3
+SAME_SURFACE = 1e-3
 """Surfaces closer above one another than this are one [m]."""
-CLEARANCE = 0.45
+START_CLEARANCE = 0.45
 """Half side of the square that must be level around a start [m]."""
-LEVEL = (0.06, 0.12, 0.25)
+LEVEL_RANGES = (0.06, 0.12, 0.25)
 """Height range on that square [m]; the strictest with a place wins."""
-STEP = 0.08
+HIGHEST_STEP = 0.08
 """Highest edge between neighbouring cells of one connected area [m]."""
 
 
@@ -36,9 +36,9 @@ def grid(
     """The ground of each cell: height (rows, cols) [m] with NaN where nothing was, the origin, and whether a mesh
     goes on above it.
 
-    Of points, the highest is the ground. Of a mesh, it is the lowest surface that faces up and has HEADROOM below the
-    next one, which must face down (a ceiling, a bridge): faces run counterclockwise seen from the free side, as
-    modelling programs write them. Where there is none, the highest surface is the ground."""
+    Of points, the highest is the ground. Of a mesh, it is the lowest surface that faces up and has LEAST_HEADROOM
+    below the next one, which must face down (a ceiling, a bridge): faces run counterclockwise seen from the free side,
+    as modelling programs write them. Where there is none, the highest surface is the ground."""
     if np.abs(geometry.vertices).max() > MAX_COORDINATE:
         raise SceneError(
             f"{name}: points lie more than {MAX_COORDINATE / 1000:.0f} km from the origin: shift the file to "
@@ -69,7 +69,7 @@ def grid(
         levels, faces = np.empty(first[-1]), np.empty(first[-1], np.int8)
         _rasterise(scaled, z, geometry.triangles, rows, cols, first.copy(), levels, faces)
         height, top = np.full((2, rows * cols), np.nan, np.float32)
-        _ground(first, levels, faces, HEADROOM, SAME, height, top)
+        _ground(first, levels, faces, LEAST_HEADROOM, SAME_SURFACE, height, top)
         return height.reshape(rows, cols), origin, bool((top > height).any())
     height = np.full((rows, cols), -np.inf, np.float32)
     cell = np.round(scaled).astype(np.int64)
@@ -192,12 +192,12 @@ def place_start(
     name: str,
 ) -> tuple[Pose, Mapping[str, Goal]]:
     """A start on level ground in the largest connected area, goal `far` at its far end and `home` at the start."""
-    cells = max(1, round(CLEARANCE / resolution))
+    cells = max(1, round(START_CLEARANCE / resolution))
     uneven = relief(height, cells)
     seen = _share(known, 2) > 0.6
     # On the way, half the width of the robot is enough; to stand and turn it takes the whole clearance.
     narrow = relief(height, max(1, cells // 2))
-    for level in LEVEL:
+    for level in LEVEL_RANGES:
         free = (uneven < level) & seen
         free[:cells] = free[-cells:] = False
         free[:, :cells] = free[:, -cells:] = False
@@ -205,7 +205,7 @@ def place_start(
             break
     else:
         raise SceneError(
-            f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give one (`up --start X Y YAW`, "
+            f"{name}: no level place of {2 * START_CLEARANCE:.1f} m to start on: give one (`up --start X Y YAW`, "
             "`plan FILE X,Y`), coarser cells (--resolution), "
             "or say what its numbers are (--units, --up)"
         )
@@ -213,13 +213,13 @@ def place_start(
     best, area, done = np.zeros_like(free), 0, np.zeros_like(free)
     for seed in zip(*np.nonzero(free), strict=True):
         if not done[seed]:
-            reached = free & (_flood(way, height, STEP, seed[0], seed[1]) >= 0)
+            reached = free & (_flood(way, height, HIGHEST_STEP, seed[0], seed[1]) >= 0)
             done |= reached
             if reached.sum() > area:
                 best, area = reached, int(reached.sum())
     inside = np.argwhere(best)
     start = inside[np.argmin(((inside - inside.mean(axis=0)) ** 2).sum(axis=1))]
-    distance = np.where(best, _flood(way, height, STEP, start[0], start[1]), -1)
+    distance = np.where(best, _flood(way, height, HIGHEST_STEP, start[0], start[1]), -1)
     far = np.unravel_index(int(np.argmax(distance)), distance.shape)
     x, y = origin[0] + start[1] * resolution, origin[1] + start[0] * resolution
     fx, fy = origin[0] + float(far[1]) * resolution, origin[1] + float(far[0]) * resolution

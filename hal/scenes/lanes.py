@@ -33,21 +33,21 @@ from hal.scenes.elements import (
 from hal.scenes.scene import Scene, SceneError
 from hal.scenes.survey import highest_near
 
-RESOLUTION = 0.02
+GRID_RESOLUTION = 0.02
 WALL_HEIGHT = 0.5
 """Above the highest ground within 0.3 m [m]."""
-THICK, THIN = 0.04, 0.02
+OUTER_THICKNESS, INNER_THICKNESS = 0.04, 0.02
 """Walls around lanes; walls inside a lane [m]."""
-ZONE = 1.3
+ZONE_LENGTH = 1.3
 """Length of the level zones at start and end [m]."""
-PAUSE = 0.4
+PAUSE_LENGTH = 0.4
 """Level ground between two elements [m]."""
-LANDING = 1.2
+LANDING_LENGTH = 1.2
 """Level ground on which the robot changes from one lane to the other [m]."""
-MARGIN, FENCE = 1.0, 1.2
+FLOOR_MARGIN, FENCE_HEIGHT = 1.0, 1.2
 """Floor around the lanes and height of the fence around it [m]: without a hall the odometry sees two parallel walls
 only."""
-GRAIN = (0.002, 0.006)
+FLOOR_GRAIN = (0.002, 0.006)
 """Relief of the floor itself [m], on a grain of 0.2 m."""
 LAYOUTS = ("single", "double", "folded", "fork")
 LEVELS = (1, 2, 3, 4, 5)
@@ -121,7 +121,7 @@ class _Row:
     def thin_walls(self) -> list[Wall]:
         """Walls inside the row."""
         return [
-            (self.at(s + e.wall[0], e.wall[2]), self.at(s + e.wall[1], e.wall[2]), THIN)
+            (self.at(s + e.wall[0], e.wall[2]), self.at(s + e.wall[1], e.wall[2]), INNER_THICKNESS)
             for s, e in zip(self.begins, self.elements, strict=False)
             if e.wall
         ]
@@ -158,20 +158,22 @@ def lane(seed: int, *, level: int = 2, controller: str = "vmc", map: str = "") -
         return makers[int(random.integers(len(makers)))](random, grade)
 
     side, flip, seam_first = (int(random.choice([-1, 1])) for _ in range(3))
-    grain = float(random.uniform(*GRAIN))
+    grain = float(random.uniform(*FLOOR_GRAIN))
     must = [draw(own), draw([*other, thin_wall])][::flip]
     more = [draw(own), draw(own)]
     hard = blocker(random, grade)
     if level == 5:
         must[int(random.integers(len(must)))] = hard
-    first, second = ([one, flat(PAUSE)] for one in must)
+    first, second = ([one, flat(PAUSE_LENGTH)] for one in must)
     if layout == "single":
-        course = _single([flat(ZONE), *first, *second, flat(ZONE)], width)
+        course = _single([flat(ZONE_LENGTH), *first, *second, flat(ZONE_LENGTH)], width)
     elif layout == "double":
-        course = _double([flat(ZONE), *first], [*second, flat(ZONE)], more, width, side, seam_first > 0)
+        course = _double(
+            [flat(ZONE_LENGTH), *first], [*second, flat(ZONE_LENGTH)], more, width, side, seam_first > 0
+        )
     else:
         dead_end = more if layout == "fork" else []
-        course = _folded([flat(ZONE), *first], [*second, flat(ZONE)], dead_end, width, side)
+        course = _folded([flat(ZONE_LENGTH), *first], [*second, flat(ZONE_LENGTH)], dead_end, width, side)
     beyond = next((r.rect(r.elements.index(hard), width) for r in course.rows if hard in r.elements), None)
     canvas, walls, floor = _paint(course, width, grain, seed)
     x0, y0 = canvas.origin
@@ -179,7 +181,7 @@ def lane(seed: int, *, level: int = 2, controller: str = "vmc", map: str = "") -
     scene = Scene(
         name="lanes",
         height=canvas.array(),
-        resolution=RESOLUTION,
+        resolution=GRID_RESOLUTION,
         origin=canvas.origin,
         start=(*course.line[0], 0.0),
         goals={"end": (*course.line[-1], None), "home": (*course.line[0], None)},
@@ -205,7 +207,11 @@ def _single(elements: Sequence[Element], width: float) -> _Course:
     """One straight lane."""
     row = _Row(0.0, 0.0, 1, elements)
     last = len(elements) - 1
-    line = [row.at(0.5 * ZONE), *row.way_through(1, last - 1), row.at(row.begins[last] + 0.5 * ZONE)]
+    line = [
+        row.at(0.5 * ZONE_LENGTH),
+        *row.way_through(1, last - 1),
+        row.at(row.begins[last] + 0.5 * ZONE_LENGTH),
+    ]
     return _Course([row], _box(row, width), line)
 
 
@@ -221,31 +227,31 @@ def _double(
     length = max(e.length for e in seam) + HALF_RAMP
     a, b = delayed(seam[0], 0.0, length), delayed(seam[1], HALF_RAMP, length)
     # Level ground on both sides: the robot turns beside elements, not astride them.
-    overlap = (lambda e: [e, flat(LANDING)]) if seam_first else (lambda e: [flat(LANDING), e])
+    overlap = (lambda e: [e, flat(LANDING_LENGTH)]) if seam_first else (lambda e: [flat(LANDING_LENGTH), e])
     out = _Row(0.0, 0.0, 1, [*first, *overlap(a)])
     begin, end = out.begins[len(first)], out.end
     on = _Row(begin, side * width, 1, [*overlap(b), *second])
     landing = 1 if seam_first else 0
-    cross = out.begins[len(first) + landing] + 0.5 * LANDING
+    cross = out.begins[len(first) + landing] + 0.5 * LANDING_LENGTH
     last = len(on.elements) - 1
     line = [
-        out.at(0.5 * ZONE),
+        out.at(0.5 * ZONE_LENGTH),
         *out.way_through(1, len(first) - 1 + landing),
         (cross, 0.0),
         (cross, side * width),
         *on.way_through(1 + landing, last - 1),
-        on.at(on.begins[last] + 0.5 * ZONE),
+        on.at(on.begins[last] + 0.5 * ZONE_LENGTH),
     ]
     h = 0.5 * width * side
     walls = [
-        ((0.0, -h), (end, -h), THICK),
-        ((0.0, h), (begin, h), THICK),
-        ((0.0, -h), (0.0, h), THICK),
-        ((end, -h), (end, h), THICK),
-        ((begin, 3 * h), (on.end, 3 * h), THICK),
-        ((end, h), (on.end, h), THICK),
-        ((begin, h), (begin, 3 * h), THICK),
-        ((on.end, h), (on.end, 3 * h), THICK),
+        ((0.0, -h), (end, -h), OUTER_THICKNESS),
+        ((0.0, h), (begin, h), OUTER_THICKNESS),
+        ((0.0, -h), (0.0, h), OUTER_THICKNESS),
+        ((end, -h), (end, h), OUTER_THICKNESS),
+        ((begin, 3 * h), (on.end, 3 * h), OUTER_THICKNESS),
+        ((end, h), (on.end, h), OUTER_THICKNESS),
+        ((begin, h), (begin, 3 * h), OUTER_THICKNESS),
+        ((on.end, h), (on.end, 3 * h), OUTER_THICKNESS),
     ]
     return _Course([out, on], walls, line)
 
@@ -258,35 +264,40 @@ def _folded(
     turn = out.begins[len(first)]
     rows = [out, _Row(turn, side * width, -1, second)]
     if dead_end:
-        rows.append(_Row(turn, -side * width, -1, [flat(PAUSE), *dead_end, flat(ZONE)]))
+        rows.append(_Row(turn, -side * width, -1, [flat(PAUSE_LENGTH), *dead_end, flat(ZONE_LENGTH)]))
     back, middle = rows[1], turn + 0.5 * width
     last = len(second) - 1
     line = [
-        out.at(0.5 * ZONE),
+        out.at(0.5 * ZONE_LENGTH),
         *out.way_through(1, len(first) - 1),
         (middle, 0.0),
         (middle, side * width),
         *back.way_through(0, last - 1),
-        back.at(back.begins[last] + 0.5 * ZONE),
+        back.at(back.begins[last] + 0.5 * ZONE_LENGTH),
     ]
     h = 0.5 * width
-    walls = [((0.0, -h), (0.0, h), THICK)]
+    walls = [((0.0, -h), (0.0, h), OUTER_THICKNESS)]
     for y in (-h, h):  # each as far as the longer lane beside it goes
         beside = next((r for r in rows[1:] if r.y * y > 0.0), None)
         far = turn if beside else out.end
-        walls.append(((min(0.0, beside.end) if beside else 0.0, y), (far, y), THICK))
+        walls.append(((min(0.0, beside.end) if beside else 0.0, y), (far, y), OUTER_THICKNESS))
     for row in rows[1:]:
         edge = row.y + (h if row.y > 0.0 else -h)
         inner = row.y - (h if row.y > 0.0 else -h)
-        walls += [((row.end, edge), (out.end, edge), THICK), ((row.end, inner), (row.end, edge), THICK)]
-    walls.append(((out.end, min(r.y for r in rows) - h), (out.end, max(r.y for r in rows) + h), THICK))
+        walls += [
+            ((row.end, edge), (out.end, edge), OUTER_THICKNESS),
+            ((row.end, inner), (row.end, edge), OUTER_THICKNESS),
+        ]
+    walls.append(
+        ((out.end, min(r.y for r in rows) - h), (out.end, max(r.y for r in rows) + h), OUTER_THICKNESS)
+    )
     return _Course(rows, walls, line)
 
 
 def _box(row: _Row, width: float) -> list[Wall]:
     h = 0.5 * width
     corners = [(row.x, -h), (row.end, -h), (row.end, h), (row.x, h)]
-    return [(corners[k], corners[(k + 1) % 4], THICK) for k in range(4)]
+    return [(corners[k], corners[(k + 1) % 4], OUTER_THICKNESS) for k in range(4)]
 
 
 def _paint(
@@ -295,10 +306,10 @@ def _paint(
     """Floor, elements, walls, fence; also the walls as (n, 5), and the heights without them."""
     walls = [*course.walls, *(w for row in course.rows for w in row.thin_walls())]
     ends = np.array([[p, q] for p, q, _ in walls])
-    low = np.floor((ends.min(axis=(0, 1)) - MARGIN) / RESOLUTION) * RESOLUTION
-    high = np.ceil((ends.max(axis=(0, 1)) + MARGIN) / RESOLUTION) * RESOLUTION
+    low = np.floor((ends.min(axis=(0, 1)) - FLOOR_MARGIN) / GRID_RESOLUTION) * GRID_RESOLUTION
+    high = np.ceil((ends.max(axis=(0, 1)) + FLOOR_MARGIN) / GRID_RESOLUTION) * GRID_RESOLUTION
     rect = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-    canvas = Canvas(rect, RESOLUTION)
+    canvas = Canvas(rect, GRID_RESOLUTION)
     canvas.roughen(rect, grain, 0.2, seed)
     for row in course.rows:
         for k, (s, e) in enumerate(zip(row.begins, row.elements, strict=False)):
@@ -306,10 +317,10 @@ def _paint(
             along, across = row.way * (canvas.x - row.x) - s, row.way * (canvas.y - row.y)
             canvas.height[inside] += e.height(along[inside], across[inside])
     floor = canvas.array()
-    top = WALL_HEIGHT + highest_near(canvas.height, round(0.3 / RESOLUTION))
+    top = WALL_HEIGHT + highest_near(canvas.height, round(0.3 / GRID_RESOLUTION))
     for start, end, thick in walls:
         canvas.wall(start, end, thick, top)
-    canvas.border(THICK, FENCE)
+    canvas.border(OUTER_THICKNESS, FENCE_HEIGHT)
     return canvas, np.array([[*p, *q, thick] for p, q, thick in walls]), floor
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from hal.scenes.canvas import Canvas
 from hal.scenes.scene import Goal, Scene
 
-PITCH = 1.7
+CORRIDOR_PITCH = 1.7
 """Corridor and wall together [m]."""
 
 
@@ -37,22 +37,22 @@ def maze(seed: int = 0, size: int = 6, loops: float = 0.15) -> Scene:
         if n > (i, j)
     ]
     doors |= {w for w in walls if random.random() < loops}
-    side = size * PITCH
+    side = size * CORRIDOR_PITCH
     canvas = Canvas((0.0, side, 0.0, side), 0.04)
     for (i, j), (k, m) in walls:
         if ((i, j), (k, m)) in doors:
             continue
-        x, y = max(i, k) * PITCH, max(j, m) * PITCH
+        x, y = max(i, k) * CORRIDOR_PITCH, max(j, m) * CORRIDOR_PITCH
         if i != k:
-            canvas.bar((x, y), (x, y + PITCH), 0.12, 1.0)
+            canvas.bar((x, y), (x, y + CORRIDOR_PITCH), 0.12, 1.0)
         else:
-            canvas.bar((x, y), (x + PITCH, y), 0.12, 1.0)
+            canvas.bar((x, y), (x + CORRIDOR_PITCH, y), 0.12, 1.0)
     canvas.border(0.08, 1.0)
     steps = _steps(doors, size)
     end = max(steps, key=lambda room: (steps[room], room))
     half = min(steps, key=lambda room: (abs(steps[room] - steps[end] / 2), room))
     goals: dict[str, Goal] = {
-        name: ((i + 0.5) * PITCH, (j + 0.5) * PITCH, None)
+        name: ((i + 0.5) * CORRIDOR_PITCH, (j + 0.5) * CORRIDOR_PITCH, None)
         for name, (i, j) in {"exit": end, "half": half, "home": (0, 0)}.items()
     }
     return Scene(
@@ -60,7 +60,11 @@ def maze(seed: int = 0, size: int = 6, loops: float = 0.15) -> Scene:
         height=canvas.array(),
         resolution=canvas.resolution,
         origin=canvas.origin,
-        start=(0.5 * PITCH, 0.5 * PITCH, 0.0 if _door((0, 0), (1, 0)) in doors else 0.5 * np.pi),
+        start=(
+            0.5 * CORRIDOR_PITCH,
+            0.5 * CORRIDOR_PITCH,
+            0.0 if _door((0, 0), (1, 0)) in doors else 0.5 * np.pi,
+        ),
         goals=goals,
         description=f"maze of {size} x {size} rooms, seed {seed}",
         allowed_area=((0.0, 0.0), (side, 0.0), (side, side), (0.0, side)),

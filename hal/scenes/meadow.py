@@ -5,7 +5,7 @@ from __future__ import annotations
 from hal.scenes.canvas import Canvas
 from hal.scenes.scene import Scene
 
-DENSITY = 3.0
+LEAF_DENSITY = 3.0
 """Leaves met per metre; a ray crosses a clump of half a metre in one of five times."""
 CLUMPS = (
     (-2.0, 0.0, 0.5, 2.4, 0.30),
@@ -35,5 +35,5 @@ def meadow() -> Scene:
         start=(-3.2, 0.0, 0.0),
         goals={"home": (-3.2, 0.0, 0.0), "through": (3.2, 0.0, 0.0)},
         description="level ground, 8 x 6 m, clumps of grass that the LiDAR sees and boxes among them",
-        plants=tuple(Clump((x, y, top / 2), (a, b, top), DENSITY) for x, y, a, b, top in CLUMPS),
+        plants=tuple(Clump((x, y, top / 2), (a, b, top), LEAF_DENSITY) for x, y, a, b, top in CLUMPS),
     )

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from hal.scenes.canvas import Canvas, Rect
 from hal.scenes.scene import Scene, SceneError
 
-RESOLUTION = 0.02
-WIDE = 1.4
+GRID_RESOLUTION = 0.02
+STAIR_WIDTH = 1.4
 """Stairs between their walls [m]."""
-SIDE = 0.9
+SIDE_HEIGHT = 0.9
 """Walls beside stairs above their steps [m]."""
-THICK = 0.08
+WALL_THICKNESS = 0.08
 """Walls [m]."""
-FENCE = 1.4
+FENCE_HEIGHT = 1.4
 """Wall around everything above the highest ground [m]."""
-STEEPNESS = 1.0 / 12.0
+RAMP_STEEPNESS = 1.0 / 12.0
 """Of a ramp for wheelchairs."""
 
 Point = tuple[float, float]
@@ -50,8 +50,8 @@ class Place:
 
     def wall(self, a: Point, b: Point, top: float) -> None:
         """One that stands there."""
-        self.canvas.bar(a, b, THICK, top)
-        self.walls.append((*a, *b, THICK))
+        self.canvas.bar(a, b, WALL_THICKNESS, top)
+        self.walls.append((*a, *b, WALL_THICKNESS))
 
     def cliffs(self, *corners: Point) -> None:
         """Edges that nothing crosses, from corner to corner."""
@@ -63,19 +63,19 @@ def _stairs(random: np.random.Generator, riser: float, tread: float, up: bool) -
     count = int(random.integers(6, 9))
     high, run = count * riser, (count - 1) * tread
     middle = float(random.uniform(-0.8, 0.8))
-    canvas = Canvas((-3.5, run + 3.5, -2.5, 2.5), RESOLUTION)
+    canvas = Canvas((-3.5, run + 3.5, -2.5, 2.5), GRID_RESOLUTION)
     canvas.height[canvas.x > run - 1e-6] = high
-    left, right = middle + 0.5 * WIDE, middle - 0.5 * WIDE
+    left, right = middle + 0.5 * STAIR_WIDTH, middle - 0.5 * STAIR_WIDTH
     flight = canvas.inside((0.0, run, right, left))
     steps = riser * np.floor(canvas.x / tread + 1.0 + 1e-6)
     np.copyto(canvas.height, np.minimum(steps, high), where=flight)
     place = Place(canvas, _near(random, -2.3, middle), _near(random, run + 2.3, middle))
     if not up:
         place.start, place.goal = place.goal, place.start
-    top = np.minimum(np.maximum(steps, 0.0), high) + SIDE
-    for y in (left + 0.5 * THICK, right - 0.5 * THICK):
-        canvas.wall((0.0, y), (run, y), THICK, top)
-        place.walls.append((0.0, y, run, y, THICK))
+    top = np.minimum(np.maximum(steps, 0.0), high) + SIDE_HEIGHT
+    for y in (left + 0.5 * WALL_THICKNESS, right - 0.5 * WALL_THICKNESS):
+        canvas.wall((0.0, y), (run, y), WALL_THICKNESS, top)
+        place.walls.append((0.0, y, run, y, WALL_THICKNESS))
     place.cliffs((run, left), (run, 2.5))
     place.cliffs((run, right), (run, -2.5))
     return place
@@ -88,14 +88,14 @@ def _near(random: np.random.Generator, x: float, y: float) -> Point:
 def _ramp(random: np.random.Generator, kerb: bool) -> Place:
     """A ramp for wheelchairs along a terrace, which nothing else leads to."""
     high = float(random.uniform(0.40, 0.50))
-    run, width = high / STEEPNESS, float(random.uniform(1.2, 1.5))
-    canvas = Canvas((-3.5, run + 4.5, -4.0, 3.0), RESOLUTION)
+    run, width = high / RAMP_STEEPNESS, float(random.uniform(1.2, 1.5))
+    canvas = Canvas((-3.5, run + 4.5, -4.0, 3.0), GRID_RESOLUTION)
     terrace = (run, run + 3.0, -0.5, 2.5)
     canvas.box(terrace, high)
     canvas.ramp((0.0, run, -0.5, width - 0.5), 0.0, high, "+x")
     if kerb:
         for y in (-0.5, width - 0.5):
-            canvas.wall((0.0, y), (run, y), 0.10, np.maximum(canvas.x * STEEPNESS, 0.0) + 0.10)
+            canvas.wall((0.0, y), (run, y), 0.10, np.maximum(canvas.x * RAMP_STEEPNESS, 0.0) + 0.10)
     place = Place(canvas, _near(random, run + 1.0, -2.4), (run + 1.5, 1.2))
     place.cliffs(
         (0.0, -0.5), (run + 3.0, -0.5), (run + 3.0, 2.5), (run, 2.5), (run, width - 0.5), (0.0, width - 0.5)
@@ -127,7 +127,7 @@ def _pit(random: np.random.Generator) -> Place:
 
 def _court(random: np.random.Generator, half: float, clear: float) -> Canvas:
     """Level ground with some boxes, none within `clear` [m] of its middle or where robots start."""
-    canvas = Canvas((-half, half, -half, half), RESOLUTION)
+    canvas = Canvas((-half, half, -half, half), GRID_RESOLUTION)
     for _ in range(12):
         x, y = random.uniform(-half, half, 2)
         if math.hypot(x, y) > math.sqrt(2.0) * clear and x > -half + 1.8:
@@ -141,7 +141,7 @@ def _house(random: np.random.Generator) -> Place:
     wide = [float(v) for v in random.uniform(2.6, 3.4, rooms)]
     ends = np.concatenate([[0.0], np.cumsum(wide)])
     long = float(ends[-1])
-    canvas = Canvas((-0.1, long + 0.1, -0.1, 2.0 * deep + hall + 0.1), RESOLUTION)
+    canvas = Canvas((-0.1, long + 0.1, -0.1, 2.0 * deep + hall + 0.1), GRID_RESOLUTION)
     place = Place(canvas, (0.0, 0.0), (0.0, 0.0))
     top = 1.8
     for south, north, inner in ((0.0, deep, deep), (deep + hall, 2.0 * deep + hall, deep + hall)):
@@ -204,12 +204,12 @@ def place(kind: str, seed: int) -> Place:
     found = PLACES[kind](random)
     canvas = found.canvas
     canvas.roughen(_all(canvas), 0.003, 0.2, seed)
-    canvas.border(THICK, float(canvas.height.max()) + FENCE)
+    canvas.border(WALL_THICKNESS, float(canvas.height.max()) + FENCE_HEIGHT)
     x0, x1, y0, y1 = _all(canvas)
     found.scene = Scene(
         name="places",
         height=canvas.array(),
-        resolution=RESOLUTION,
+        resolution=GRID_RESOLUTION,
         origin=canvas.origin,
         start=(*found.start, float(random.uniform(-math.pi, math.pi))),
         goals={"end": (*found.goal, None)},

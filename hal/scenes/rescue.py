@@ -15,12 +15,12 @@ from hal.scenes.canvas import Canvas, Rect
 from hal.scenes.scene import Goal, Pose, Scene
 from hal.scenes.survey import draw_pairs, survey
 
-RESOLUTION = 0.02
-NOISE = 0.007
+GRID_RESOLUTION = 0.02
+HEIGHT_NOISE = 0.007
 """Standard deviation of the surveyed heights."""
-WALL = 0.04
+WALL_THICKNESS = 0.04
 """Thickness of a wall: two cells."""
-TILE = 1.2
+TILE_SIDE = 1.2
 HALF_RISE = 0.6 * tan(radians(15.0))
 """Rise of a half ramp, 0.6 long."""
 
@@ -55,14 +55,14 @@ def _finish(
         goals=goals,
         description=description,
         allowed_area=((x0, y0), (x1, y0), (x1, y1), (x0, y1)),
-        survey=survey(surface, stations, seed, noise=NOISE, grazing=radians(grazing)),
+        survey=survey(surface, stations, seed, noise=HEIGHT_NOISE, grazing=radians(grazing)),
         pairs=draw_pairs(surface, lanes, seed, must=must, highest=relief),
     )
 
 
 def _quarters(canvas: Canvas, x: float, y: float, uphill: Quadrants, base: Sequence[Sequence[float]]) -> None:
     """One tile of four half-size ramps; `uphill[row][column]` and `base[row][column]`, row 0 at low y."""
-    half = 0.5 * TILE
+    half = 0.5 * TILE_SIDE
     for i in range(2):
         for j in range(2):
             rect = (x + j * half, x + (j + 1) * half, y + i * half, y + (i + 1) * half)
@@ -72,25 +72,25 @@ def _quarters(canvas: Canvas, x: float, y: float, uphill: Quadrants, base: Seque
 def slopes() -> Scene:
     """8.4 x 3.6: one lane of continuous 15 deg ramps beside one of crossing half ramps with a pinwheel; linked at
     both ends."""
-    canvas = Canvas((0.0, 8.4, 0.0, 3.6), RESOLUTION)
+    canvas = Canvas((0.0, 8.4, 0.0, 3.6), GRID_RESOLUTION)
     for k in range(5):
-        x = TILE * (1 + k)
+        x = TILE_SIDE * (1 + k)
         canvas.ramp((x, x + 0.6, 0.6, 1.8), 0.02, 0.02 + HALF_RISE, "+x")
         canvas.ramp((x + 0.6, x + 1.2, 0.6, 1.8), 0.02, 0.02 + HALF_RISE, "-x")
     flat = ((0.0, 0.0), (0.0, 0.0))
     crossing: Quadrants = (("+x", "-x"), ("-y", "+x"))
     turned: Quadrants = (("-x", "+y"), ("+x", "-x"))
     for k, pattern in enumerate((crossing, turned, None, crossing, turned)):
-        x = TILE * (1 + k)
+        x = TILE_SIDE * (1 + k)
         if pattern is None:  # pinwheel: two quarters rise to one half ramp, two go on to twice that
             _quarters(canvas, x, 1.8, (("+x", "+y"), ("-y", "-x")), ((0.0, HALF_RISE), (HALF_RISE, 0.0)))
         else:
             _quarters(canvas, x, 1.8, pattern, flat)
     for y in (0.6, 3.0):
-        canvas.bar((0.0, y), (8.4, y), WALL, 0.5)
+        canvas.bar((0.0, y), (8.4, y), WALL_THICKNESS, 0.5)
     for x in (0.02, 8.38):
-        canvas.bar((x, 0.6), (x, 3.0), WALL, 0.5)
-    canvas.bar((TILE, 1.8), (6 * TILE, 1.8), WALL, 0.5)
+        canvas.bar((x, 0.6), (x, 3.0), WALL_THICKNESS, 0.5)
+    canvas.bar((TILE_SIDE, 1.8), (6 * TILE_SIDE, 1.8), WALL_THICKNESS, 0.5)
     return _finish(
         canvas,
         "rescue_slopes",
@@ -111,7 +111,7 @@ def slopes() -> Scene:
 def platform() -> Scene:
     """8.4 x 4.8: a 20 deg ramp over a 0.40 platform, or a lane with three curbs of 0.05 to 0.10, one of them at 45
     deg."""
-    canvas = Canvas((0.0, 8.4, 0.0, 4.8), RESOLUTION)
+    canvas = Canvas((0.0, 8.4, 0.0, 4.8), GRID_RESOLUTION)
     top, run = 0.40, 0.40 / tan(radians(20.0))
     canvas.ramp((2.0, 2.0 + run, 3.0, 4.2), 0.0, top, "+x")
     canvas.box((2.0 + run, 5.3, 3.0, 4.2), top)
@@ -120,8 +120,8 @@ def platform() -> Scene:
     canvas.bar((3.5, 0.4), (5.3, 2.2), 0.10, 0.095)
     canvas.bar((6.2, 0.4), (6.2, 2.2), 0.10, 0.10)
     for y in (0.4, 2.2, 3.0, 4.2):
-        canvas.bar((1.6, y), (6.8, y), WALL, 0.6 if y < 2.5 else 1.0)
-    canvas.border(WALL, 0.6)
+        canvas.bar((1.6, y), (6.8, y), WALL_THICKNESS, 0.6 if y < 2.5 else 1.0)
+    canvas.border(WALL_THICKNESS, 0.6)
     return _finish(
         canvas,
         "rescue_platform",
@@ -151,7 +151,7 @@ def platform() -> Scene:
 
 def _pallet(canvas: Canvas, x: float, y: float, posts: np.ndarray) -> None:
     """A stepfield pallet: 10 x 10 posts of 0.12 on a 0.05 base, heights above it in `posts` (10, 10)."""
-    side = TILE / 10
+    side = TILE_SIDE / 10
     for i in range(10):
         for j in range(10):
             canvas.box(
@@ -162,7 +162,7 @@ def _pallet(canvas: Canvas, x: float, y: float, posts: np.ndarray) -> None:
 def steps() -> Scene:
     """8.4 x 4.8: 3 x 3 stepfield pallets, then K-rails of 0.10 every 0.6; a flat detour 0.6 wide runs beside all of
     it."""
-    canvas = Canvas((0.0, 8.4, 0.0, 4.8), RESOLUTION)
+    canvas = Canvas((0.0, 8.4, 0.0, 4.8), GRID_RESOLUTION)
     random = np.random.default_rng(3)
     along = np.arange(10)
     for i in range(3):
@@ -172,11 +172,11 @@ def steps() -> Scene:
                 posts = np.array([0.4, 0.4, 0.3, 0.2, 0.1, 0.05])[np.minimum(away, 5)]
             else:  # half-cubic: 5 to 20 cm in half units, low at the rim of the field
                 posts = random.choice([0.0, 0.05, 0.10, 0.15], (10, 10), p=[0.4, 0.3, 0.2, 0.1])
-            _pallet(canvas, 1.5 + TILE * j, 0.10 + TILE * i, posts)
+            _pallet(canvas, 1.5 + TILE_SIDE * j, 0.10 + TILE_SIDE * i, posts)
     for x in (5.6, 6.2, 6.8):
         canvas.bar((x, 0.10), (x + 0.5, 3.70), 0.10, 0.10)
     canvas.box((1.5, 7.4, 4.30, 4.8), 0.6)
-    canvas.border(WALL, 0.6)
+    canvas.border(WALL_THICKNESS, 0.6)
     return _finish(
         canvas,
         "rescue_steps",
@@ -196,7 +196,7 @@ def steps() -> Scene:
 
 def elevated() -> Scene:
     """8.4 x 4.8: 41 deg stairs to 1.03, a bridge 0.6 wide, a 27 deg ramp down; 0.2 hurdles below; a 45 deg ramp."""
-    canvas = Canvas((0.0, 8.4, 0.0, 4.8), RESOLUTION)
+    canvas = Canvas((0.0, 8.4, 0.0, 4.8), GRID_RESOLUTION)
     top, tread = 1.03, 0.23
     for k in range(5):  # 0.23, then four risers of 0.20
         canvas.box((1.4 + tread * k, 2.6, 3.0, 4.18), 0.23 + 0.20 * k)
@@ -207,8 +207,8 @@ def elevated() -> Scene:
     canvas.ramp((5.3, 5.3 + top / tan(radians(27.0)), 3.0, 4.18), 0.0, top, "-x")
     for x in (3.0, 4.2, 5.4):
         canvas.bar((x, 0.04), (x, 1.4), 0.10, 0.20)
-    canvas.bar((3.7, 1.4), (7.0, 1.4), WALL, 0.6)
-    canvas.border(WALL, 0.6)
+    canvas.bar((3.7, 1.4), (7.0, 1.4), WALL_THICKNESS, 0.6)
+    canvas.border(WALL_THICKNESS, 0.6)
     return _finish(
         canvas,
         "rescue_elevated",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
-AROUND = 16
+CORNERS_AROUND = 16
 """Corners of the polygon that goes round a wall's end."""
 
 
@@ -19,8 +19,8 @@ def shortest(walls: Points, start: tuple[float, float], goal: tuple[float, float
     `walls` (n, 5): x, y of both ends and thickness [m]. Exact but for the polygons round the walls' ends: at most 2 %
     of such an arc too long."""
     a, b, reach = walls[:, :2], walls[:, 2:4], clearance + 0.5 * walls[:, 4]
-    angle = 2.0 * pi * np.arange(AROUND) / AROUND
-    ring = np.column_stack([np.cos(angle), np.sin(angle)]) / cos(pi / AROUND)
+    angle = 2.0 * pi * np.arange(CORNERS_AROUND) / CORNERS_AROUND
+    ring = np.column_stack([np.cos(angle), np.sin(angle)]) / cos(pi / CORNERS_AROUND)
     corners = [end + (r + 1e-6) * ring for ends in (a, b) for end, r in zip(ends, reach, strict=True)]
     nodes = np.vstack([[start, goal], *corners])
     keep: NDArray[np.bool_] = np.all(_to_segments(nodes, a, b) >= reach, axis=1)

@@ -7,7 +7,7 @@ from math import pi, radians, tan
 from hal.scenes.canvas import Canvas
 from hal.scenes.scene import Scene
 
-RESOLUTION = 0.02
+GRID_RESOLUTION = 0.02
 """[m]; a vertical face is one cell wide."""
 
 
@@ -63,7 +63,7 @@ def field(sight: str = "") -> Scene:
 
 def yard() -> Scene:
     """12 x 12 m: a walled yard with a ramp to a platform, steps, rough ground, blocks and a hidden wall."""
-    canvas = Canvas((-6.0, 6.0, -6.0, 6.0), RESOLUTION)
+    canvas = Canvas((-6.0, 6.0, -6.0, 6.0), GRID_RESOLUTION)
     # Rough ground first: relief is added to what is there, solids stand on it.
     canvas.roughen((1.6, 5.0, -2.6, 0.8), 0.03, 0.25, seed=11)
     # Platform with a 15 deg ramp from the west.

@@ -7,12 +7,12 @@ from collections import deque
 from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP
 from hal.types import NS
 
-SUPPORT, RECENT = 3, 10
+SUPPORT_COUNT, RECENT_COUNT = 3, 10
 """A message is never received before it was stamped, so the smallest difference of both counts. A single wrong stamp
 must not count: the third smallest of the last ten readings is taken."""
 ON_TIME = NS // 20
 """[ns] of delay beyond the shortest: what network and polling add when all is well. Later is late."""
-HOLE = NS // 10
+LEAST_HOLE = NS // 10
 """[ns] of stamps that are missing where messages became late: a queue delays, but it loses no more than this."""
 
 
@@ -42,7 +42,7 @@ class RemoteClock:
         self._forget()
 
     def _forget(self) -> None:
-        self._recent: deque[tuple[int, int]] = deque(maxlen=RECENT)
+        self._recent: deque[tuple[int, int]] = deque(maxlen=RECENT_COUNT)
         """Receive time and smallest difference of the last readings of the link."""
         self._newest: dict[str, int] = {}
         """Newest believed stamp of each stream."""
@@ -62,7 +62,7 @@ class RemoteClock:
         difference = received - stamp
         last = self._newest.get(stream)
         if last is not None and CLOCK_STEP.active and self._went_back(difference, stamp < last + gap, stream):
-            if (self._answers and self._known) or len(self._strange) < SUPPORT:
+            if (self._answers and self._known) or len(self._strange) < SUPPORT_COUNT:
                 return False
             self.restart(received)
         ahead = self._follow(difference, received)
@@ -70,7 +70,7 @@ class RemoteClock:
             return False
         on_time = -ahead <= ON_TIME
         if self._on_time and not on_time:
-            self._hole = last is not None and stamp - last > HOLE
+            self._hole = last is not None and stamp - last > LEAST_HOLE
         self._on_time, self._received = on_time, received
         self._newest[stream], self._difference[stream] = stamp, difference
         return True
@@ -86,7 +86,7 @@ class RemoteClock:
         if strange and abs(difference - strange[-1]) > ON_TIME:
             strange.clear()
         strange.append(difference)
-        del strange[:-SUPPORT]
+        del strange[:-SUPPORT_COUNT]
         return True
 
     def _follow(self, difference: int, received: int) -> int:
@@ -100,8 +100,8 @@ class RemoteClock:
         if not CLOCK_DRIFT.active:
             self.offset = difference
             return 0
-        smallest = sorted(value for _, value in recent)[min(SUPPORT, len(recent)) - 1]
-        if self.offset is None or len(recent) <= SUPPORT:
+        smallest = sorted(value for _, value in recent)[min(SUPPORT_COUNT, len(recent)) - 1]
+        if self.offset is None or len(recent) <= SUPPORT_COUNT:
             self.offset = smallest
             return self.offset - difference
         if difference > self.offset and self._on_time:
@@ -120,7 +120,7 @@ class RemoteClock:
 
     @property
     def _known(self) -> bool:
-        return len(self._recent) == RECENT
+        return len(self._recent) == RECENT_COUNT
 
     def restart(self, now: int) -> None:
         """The source's clock was set, not its messages delayed: learn it anew."""
@@ -133,14 +133,14 @@ class RemoteClock:
     @property
     def back(self) -> float:
         """By how much the stamps went back [s], where a source that answers has to be asked; 0 where they did not."""
-        if self.offset is None or len(self._strange) < SUPPORT:
+        if self.offset is None or len(self._strange) < SUPPORT_COUNT:
             return 0.0
         return (self._strange[-1] - self.offset) / NS
 
     @property
     def doubtful(self) -> bool:
         """Whether it may be a step of the source's clock that makes its messages late."""
-        return len(self._strange) >= SUPPORT or (self._hole and not self._on_time)
+        return len(self._strange) >= SUPPORT_COUNT or (self._hole and not self._on_time)
 
     def date(self, stamp: int, received: int) -> int:
         """A believed stamp on the host clock [ns], never after `received`."""

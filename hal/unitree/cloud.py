@@ -22,10 +22,10 @@ from hal.unitree.layout import CDR_HEADER
 _DATATYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
 """sensor_msgs/PointField datatype codes."""
 _CODES = {np.dtype(v): k for k, v in _DATATYPES.items()}
-RELATIVE = 1e3
+RELATIVE_BELOW = 1e3
 """[s]: times below are relative to the header, unless the header is that early too."""
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
-_SURE = 100
+_SURE_POINTS = 100
 """Points from which the unit of a time field is believed for the sweeps that follow."""
 
 
@@ -193,7 +193,7 @@ def _times(
     # Relative to the header, or the LiDAR's own clock, which may have booted in 1970. Single precision is too coarse
     # for a clock.
     first = times.first
-    relative = abs(first) < RELATIVE * NS and not abs(first - cloud.stamp) < abs(first)
+    relative = abs(first) < RELATIVE_BELOW * NS and not abs(first - cloud.stamp) < abs(first)
     if raw.dtype[name] == np.float32 and not relative:
         raise WireError(
             POINT_TIMES.tell(field=name, held=f"{first / NS / times.unit:g}, too coarse for a clock")
@@ -202,7 +202,7 @@ def _times(
     counted = relative and first >= 0
     seconds, start = times.seconds(since_first=not counted), first + (cloud.stamp if relative else 0)
     start = cloud.stamp if counted else start
-    sure = np.count_nonzero(times.inside) >= _SURE and np.nanmax(seconds) > SHORTEST
+    sure = np.count_nonzero(times.inside) >= _SURE_POINTS and np.nanmax(seconds) > SHORTEST
     return start, seconds.astype(np.float32), times.unit if sure else unit
 
 

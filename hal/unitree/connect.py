@@ -30,7 +30,7 @@ def open_link(interface: str, domain: int, options: UnitreeConfig) -> Link:
     return DdsLink(interface, domain, topics)
 
 
-LISTEN = 0.1
+LISTEN_TIME = 0.1
 """[s] at the start, before and after the first requests: long enough for another robot's LowState (500 Hz) and
 answer."""
 
@@ -43,7 +43,7 @@ def listen_alone(
 ) -> None:
     """Nobody is commanded before it is sure who hears it. `tick` hears the robot, `several` names more than one. Raises
     BackendError."""
-    until = clock() + round(LISTEN * NS)
+    until = clock() + round(LISTEN_TIME * NS)
     while clock() < until:
         tick()
         if found := several():

@@ -29,13 +29,13 @@ from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
 from hal.unitree.link import LOW_STATE, SPORT_STATE, DdsLink, Link
 from hal.unitree.motion import Halt, Motion, Wheels
 
-SILENCE = 0.15
+LONGEST_SILENCE = 0.15
 """[s] without a heartbeat while moving: stop."""
-LOST = 1.0
+LOST_AFTER = 1.0
 """[s] without a sign from the guardian: it counts as lost."""
-CLOSING = 5.0
+CLOSING_TIME = 5.0
 """[s] for its last order: to a robot that does not follow it, longer than until Damp."""
-START = 10.0
+START_TIME = 10.0
 """[s] from its start to its first sign, and to the robot's sport service: longer counts as lost."""
 
 
@@ -102,13 +102,13 @@ class Guardian:
                 self._heard = time.monotonic()
 
     def alive(self) -> bool:
-        """Whether the process runs and has shown a sign within `LOST`; at its start it has `START` to get ready.
-        Never blocks."""
+        """Whether the process runs and has shown a sign within `LOST_AFTER`; at its start it has `START_TIME` to get
+        ready. Never blocks."""
         self._listen()
         now = time.monotonic()
-        if self._process.poll() is not None or (not self.ready and now - self._started > START):
+        if self._process.poll() is not None or (not self.ready and now - self._started > START_TIME):
             return False
-        return self._heard is None or now - self._heard < LOST
+        return self._heard is None or now - self._heard < LOST_AFTER
 
     def wait_ready(self, timeout: float) -> None:
         """Block until the guardian reaches the robot. Raises BackendError."""
@@ -133,7 +133,7 @@ class Guardian:
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         try:
-            self._process.wait(CLOSING)
+            self._process.wait(CLOSING_TIME)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -258,7 +258,7 @@ def watch(order: Order, orders: int, signs: int) -> None:
                 heard = now
             else:
                 gone = True
-        elif moving and not ended and now - heard > SILENCE:
+        elif moving and not ended and now - heard > LONGEST_SILENCE:
             moving, own = False, True
             order.give(Sport.STOP_MOVE, now)
             order.pump(now)

@@ -16,9 +16,9 @@ from hal.unitree.cloud import Limits, RawCloud, decode_cloud, sweep
 from hal.unitree.link import CUSTOM, Link
 from hal.unitree.livox import decode_livox
 
-SILENT = 2 * NS
+SILENT_AFTER = 2 * NS
 """Without a cloud for this long [ns] a LiDAR counts as silent."""
-UNREAD = NS // 2
+UNREAD_AFTER = NS // 2
 """[ns] without a usable cloud, after which the reason is told."""
 STEP_TOLD = 10 * NS
 """[ns] for which a step of a clock is told."""
@@ -102,7 +102,7 @@ class LidarInput:
 
     def note(self, now: int) -> str:
         """What is wrong with its stamps, in words; empty when they are right. `now` [ns, host clock]."""
-        if self._unread and now - (self.heard_at or 0) > UNREAD:
+        if self._unread and now - (self.heard_at or 0) > UNREAD_AFTER:
             return f"the {self.name} LiDAR: {self._unread}"
         late, since = self.clock.late(CLOUD), self.clock.stepped_at
         if SWEEP_LATE.outside(late):
@@ -129,7 +129,7 @@ class Silence:
 
     def words(self, lidars: list[LidarInput], now: int) -> str:
         """At `now` [ns, host clock]; empty when all speak."""
-        silent = [lidar for lidar in lidars if now - (lidar.heard_at or 0) > SILENT]
+        silent = [lidar for lidar in lidars if now - (lidar.heard_at or 0) > SILENT_AFTER]
         if not silent:
             return ""
         if now - self._searched >= SEARCH_PERIOD:

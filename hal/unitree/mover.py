@@ -14,7 +14,7 @@ from hal.unitree.telemetry import Telemetry
 
 _ZERO_TIME = 0.3
 """[s] of zero Moves after a stop: a single packet may be lost."""
-_TOLD = 0.7
+_TOLD_AFTER = 0.7
 """[s] of rolling on after a stop before the cause tells it."""
 _EULER_PERIOD = 0.2
 """[s]; an attitude offset must be repeated to hold."""
@@ -122,7 +122,7 @@ class Mover:
         """That the robot does not follow a stop, in words; empty where it does."""
         lasted = (now - self._halted_at) / NS
         speed = telemetry.motion.speed(now / NS)
-        if self.halt.order is None or lasted < _TOLD or speed is None or not ROLLS_ON.outside(speed):
+        if self.halt.order is None or lasted < _TOLD_AFTER or speed is None or not ROLLS_ON.outside(speed):
             return ""
         return ROLLS_ON.tell(speed=f"{speed:.2f} m/s", after=f"{lasted:.1f} s")
 

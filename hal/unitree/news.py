@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from hal.types import NS, Phase, RobotState
 
-PERIOD = NS // 25
+QUIET_PERIOD = NS // 25
 """[ns] between samples while nothing changes."""
 
 
 class News:
-    """A state is a sample when its phase or cause is new, and every `PERIOD`."""
+    """A state is a sample when its phase or cause is new, and every `QUIET_PERIOD`."""
 
     def __init__(self) -> None:
         self._told: tuple[Phase, str] | None = None
@@ -17,7 +17,7 @@ class News:
 
     def of(self, state: RobotState) -> list[RobotState]:
         """The state where it is one, stamps growing."""
-        due = state.stamp - self._told_at >= PERIOD or (state.phase, state.cause) != self._told
+        due = state.stamp - self._told_at >= QUIET_PERIOD or (state.phase, state.cause) != self._told
         if not due or state.stamp <= self._told_at:
             return []
         self._told, self._told_at = (state.phase, state.cause), state.stamp

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hal.types import NS
 
-GAP = 50
+LONGEST_GAP = 50
 """[ms] of the robot's own clock between two messages: of LowState, a quarter of what counts as no contact."""
 
 
@@ -32,10 +32,11 @@ class LinkQuality:
         if now - begin >= NS:
             self.rate, begin, count = count * NS / (now - begin), now, 0
         self._second = begin, count + 1
-        self._gaps += GAP < step < 2**31  # further: the robot was restarted
+        self._gaps += LONGEST_GAP < step < 2**31  # further: the robot was restarted
 
     def figures(self) -> dict[str, float]:
-        """Messages per second since the last call (float), and how often they stayed away for more than GAP (int)."""
+        """Messages per second since the last call (float), and how often they stayed away for more than LONGEST_GAP
+        (int)."""
         seconds = 0.0 if self._since is None else (self._newest - self._since) / NS
         rate = self._count / seconds if seconds > 0.0 else 0.0
         self._since, self._count = None if self._since is None else self._newest, 0

@@ -13,9 +13,9 @@ from hal.unitree.link import Link
 NO_ANSWER = 3104
 """Result code of a request that was not answered in time (the SDK's own code for it)."""
 
-PROMPT = 0.1
+PROMPT_TRIP = 0.1
 """[s]: the longest round trip of a short way; half of the oldest LowState by which the robot drives."""
-TRIPS = 3
+PROMPT_TRIPS = 3
 """Prompt round trips in a row that show a short way."""
 
 
@@ -100,16 +100,17 @@ class Echo:
         self._asked, self._prompt = None, 0
 
     def prompt(self, now: int) -> bool:
-        """Call in every tick, `now` [ns]. Whether the last `TRIPS` round trips took no longer than `PROMPT`."""
+        """Call in every tick, `now` [ns]. Whether the last `PROMPT_TRIPS` round trips took no longer than
+        `PROMPT_TRIP`."""
         if self._asked is not None:
             identity, asked = self._asked
             answer = self._rpc.result(identity)
             took = (now - asked) / NS
             if answer is None and took <= self._timeout:
                 return False
-            quick = answer is not None and answer.code != NO_ANSWER and took <= PROMPT
+            quick = answer is not None and answer.code != NO_ANSWER and took <= PROMPT_TRIP
             self._prompt = self._prompt + 1 if quick else 0
-        if self._prompt >= TRIPS:
+        if self._prompt >= PROMPT_TRIPS:
             self.rest()
             return True
         number = MotionSwitcher.CHECK_MODE  # changes nothing

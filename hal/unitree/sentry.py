@@ -24,8 +24,8 @@ from hal.contract import BackendError
 from hal.unitree import api
 from hal.unitree.api import Request, WireError
 from hal.unitree.factory import check
-from hal.unitree.guardian import SILENCE, Order, motion_topics
-from hal.unitree.motion import GO2W, Wheels
+from hal.unitree.guardian import LONGEST_SILENCE, Order, motion_topics
+from hal.unitree.motion import GO2W_WHEELS, Wheels
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ ENDS = (
 )
 """Calls that end a Move. The rest may come from programs that set something else, or ask: one StopMove too many does
 no harm."""
-POLL = 0.01
+POLL_PERIOD = 0.01
 """[s]"""
 
 
@@ -79,14 +79,16 @@ class Sentry:
             elif service == api.SPORT and request.api in ENDS and not self._order.sent(request):
                 self._heard = None
                 self._order.halt.end()
-        if self._heard is not None and now - self._heard > SILENCE:
+        if self._heard is not None and now - self._heard > LONGEST_SILENCE:
             log.warning("Moves ceased for %.2f s without a stop: stopping the robot", now - self._heard)
             self._heard = None
             self._order.give(api.Sport.STOP_MOVE, now)
         self._order.pump(now)
 
 
-def main(interface: str, domain: int, stopping: Callable[[], bool], wheels: Wheels | None = GO2W) -> None:
+def main(
+    interface: str, domain: int, stopping: Callable[[], bool], wheels: Wheels | None = GO2W_WHEELS
+) -> None:
     """Watch until told to end. Raises BackendError."""
     from hal.unitree import idl
     from hal.unitree.link import DdsLink
@@ -104,7 +106,7 @@ def main(interface: str, domain: int, stopping: Callable[[], bool], wheels: Whee
                 except WireError as error:
                     log.warning("%s: %s", topic, error)
         sentry.step(time.monotonic(), heard)
-        time.sleep(POLL)
+        time.sleep(POLL_PERIOD)
     link.close()
 
 
@@ -126,7 +128,7 @@ def run() -> int:
         signal.signal(number, lambda got, _frame: ended.append(got))
     try:
         check(options.interface)
-        main(options.interface, domain, lambda: bool(ended), None if options.feet else GO2W)
+        main(options.interface, domain, lambda: bool(ended), None if options.feet else GO2W_WHEELS)
     except BackendError as error:
         print(f"sentry: {error}", file=sys.stderr)
         return 1

@@ -23,7 +23,7 @@ from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.lidars import STEP_TOLD, LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
-from hal.unitree.motion import WHEELS, Motion, remote
+from hal.unitree.motion import WHEEL_SLOTS, Motion, remote
 from hal.unitree.quality import LinkQuality
 from hal.unitree.turns import Turns
 
@@ -406,7 +406,7 @@ class Telemetry:
         estimate = 0.0 if self.sport is None else math.hypot(*map(float, self.sport["velocity"][:2]))
         wheels, rolls_on = 0.0, self._options.wheels
         if self.low is not None and rolls_on is not None:
-            wheels = abs(float(self.low["motor_state"]["dq"][WHEELS].mean())) * rolls_on.radius
+            wheels = abs(float(self.low["motor_state"]["dq"][WHEEL_SLOTS].mean())) * rolls_on.radius
         return max(v for v in (estimate, wheels, 0.0) if math.isfinite(v))
 
     @property

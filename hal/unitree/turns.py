@@ -8,7 +8,7 @@ from hal.types import NS
 
 Speaker = tuple[int, bytes]
 """Publisher on the network, and the serial number that it tells, as it comes."""
-FLOOR = NS // 2
+FLOOR_TIME = NS // 2
 """[ns] of silence after which a publisher has given up the floor: one that was restarted is another one then."""
 LASTS = NS
 """[ns] two count as two after the last time that they took turns."""
@@ -25,7 +25,7 @@ class Turns:
 
     def counts(self, who: Speaker, now: int) -> bool:
         """Whether a message of `who` counts: one has the floor until it falls silent."""
-        if who != self._speaker and self._speaker is not None and 0 <= now - self._spoke < FLOOR:
+        if who != self._speaker and self._speaker is not None and 0 <= now - self._spoke < FLOOR_TIME:
             self._others[who] = now
             return False
         if who == self._speaker and any(self._spoke <= at for at in self._others.values()):

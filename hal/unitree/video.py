@@ -10,9 +10,9 @@ from hal.unitree import api
 from hal.unitree.api import Request
 from hal.unitree.link import Link
 
-PATIENCE = 1.0
+ANSWER_PATIENCE = 1.0
 """[s] for an answer, then the request is repeated."""
-SILENT = 5.0
+SILENT_AFTER = 5.0
 """[s] without a picture until the camera counts as gone."""
 JPEG = b"\xff\xd8"
 
@@ -57,10 +57,10 @@ class HeadCamera:
             if not response.binary.startswith(JPEG):
                 raise CameraError("the robot's camera sent what is no JPEG: its firmware is not known here")
             found, self._heard = CameraFrame(stamp, response.binary), wall
-        if wall - self._heard > SILENT:
+        if wall - self._heard > SILENT_AFTER:
             why = "is silent" if self._link.reachable(api.VIDEO) else f"is not there (service {api.VIDEO})"
             raise CameraError(f"the robot's camera {why}: is it switched on in the app?")
-        if self._asked is None or wall - self._asked[2] > PATIENCE:
+        if self._asked is None or wall - self._asked[2] > ANSWER_PATIENCE:
             self._asked = time.monotonic_ns(), now, wall
             self._link.send(api.VIDEO, Request(self._asked[0], api.Video.GET_IMAGE_SAMPLE))
         return found

@@ -39,7 +39,7 @@ ACCESS = "access.txt"
 PASSPHRASE = "RBTRG_PASSPHRASE"
 """Environment: of the key of the authority, where nobody can be asked."""
 ENCRYPTED = b"BEGIN ENCRYPTED PRIVATE KEY"
-EARLIER = timedelta(minutes=10)
+CLOCK_ALLOWANCE = timedelta(minutes=10)
 """A certificate is valid from this long before now: clocks differ."""
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _COMMON_NAME = re.compile(rf"({'|'.join(Role)}):({_NAME.pattern}):[0-9a-f]{{8}}")
@@ -214,7 +214,7 @@ def _builder(
         .issuer_name(issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - EARLIER)
+        .not_valid_before(now - CLOCK_ALLOWANCE)
         .not_valid_after(now + timedelta(days=days))
     )
 

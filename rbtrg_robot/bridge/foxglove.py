@@ -43,9 +43,9 @@ LEGS_PERIOD = NS // 20
 CLOCK = -1
 """In the place of a subscription's number."""
 WARNING, ERROR = 1, 2
-LARGEST = 1 << 20
+LARGEST_MESSAGE = 1 << 20
 """Bytes of a client's message."""
-STRANGERS, CLIENTS = 64, 32
+MOST_STRANGERS, MOST_CLIENTS = 64, 32
 """Connections before and after their first request was read. Each holds up to four threads."""
 CHANNELS = dict(enumerate(t.TOPICS, 1))
 
@@ -142,7 +142,7 @@ class Foxglove:
         """A stop that the robot has not confirmed."""
         allowed: list[Any] = [*ORIGINS, *origins]
         try:
-            self.listener = CrowdedSocket(host, port, strangers=STRANGERS, guests=CLIENTS)
+            self.listener = CrowdedSocket(host, port, strangers=MOST_STRANGERS, guests=MOST_CLIENTS)
         except OSError as error:
             raise BridgeError(
                 f"cannot listen on {host}:{port}: {error.strerror}; choose another --port"
@@ -154,7 +154,7 @@ class Foxglove:
             origins=allowed,
             subprotocols=[*PROTOCOLS],  # type: ignore[list-item]
             compression=None,
-            max_size=LARGEST,
+            max_size=LARGEST_MESSAGE,
             process_response=self._let_in,
         )
         self._thread = threading.Thread(target=self._server.serve_forever, name="foxglove", daemon=True)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 calibrate_app = typer.Typer(help="Find how sensors are mounted.", no_args_is_help=True)
-PERIOD = 0.05
+COMMAND_PERIOD = 0.05
 """[s] between two velocities; the robot lets go after 0.2 s of silence."""
-TILT = 0.2
+TRUNK_TILT = 0.2
 """[rad] of the trunk to either side."""
 
 
@@ -47,8 +47,8 @@ COURSE = (
     Part(2.5, ahead=0.3),
     Part(2.5, ahead=-0.3),
     Part(1.5),
-    *[Part(0.8, pitch=side * TILT) for side in (1.0, -1.0)] * 3,
-    *[Part(0.8, roll=side * TILT) for side in (1.0, -1.0)] * 3,
+    *[Part(0.8, pitch=side * TRUNK_TILT) for side in (1.0, -1.0)] * 3,
+    *[Part(0.8, roll=side * TRUNK_TILT) for side in (1.0, -1.0)] * 3,
     Part(1.0),
 )
 """Turns show clocks, and roll and pitch of a mount. Trunk tilts show its yaw; driving ahead does if the trunk cannot
@@ -146,7 +146,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
         while (now := time.monotonic() - began) < length:
             if drive:
                 _order(bus, now, seen)
-            end = time.monotonic() + PERIOD
+            end = time.monotonic() + COMMAND_PERIOD
             while (left := end - time.monotonic()) > 0.0:
                 for received in bus.take(left):
                     message = bus.open(received)

@@ -29,7 +29,7 @@ FINISHED, UNANSWERED, REFUSED, FAILED, STOPPED = 0, 1, 2, 3, 4
 EXIT = {"finished": FINISHED, "failed": FAILED, "stopped": STOPPED}
 ANSWER_LIMIT = 3.0
 """Seconds without any answer from the mission process."""
-SILENCE = 15.0
+LONGEST_SILENCE = 15.0
 """The same while a mission is watched: the process may be restarting."""
 
 
@@ -284,7 +284,7 @@ def _follow(bus: Bus, begun: Any) -> tuple[int, Any]:
     shown, heard, present = "", time.monotonic(), Present(bus)
     while True:
         present()
-        if time.monotonic() - heard > SILENCE:
+        if time.monotonic() - heard > LONGEST_SILENCE:
             _silent()
         for received in bus.take(0.1):
             state: Any = bus.open(received)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 REACHED, REJECTED, ABORTED = 0, 2, 3
 """As `goal`: there is a route; start or goal cannot be asked for; there is none to the goal."""
-LARGEST = 10_000_000
+LARGEST_FILE = 10_000_000
 """Bytes of a file of questions."""
 Place = tuple[float, float]
 
@@ -201,11 +201,11 @@ def _read(path: Path) -> list[tuple[Place, float, Place, float | None]]:
 
     try:
         with open_regular(path) as file:
-            data = file.read(LARGEST + 1)
+            data = file.read(LARGEST_FILE + 1)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
-    if len(data) > LARGEST:
-        raise ConfigError(f"{path} has more than {LARGEST / 1e6:.0f} MB: split it")
+    if len(data) > LARGEST_FILE:
+        raise ConfigError(f"{path} has more than {LARGEST_FILE / 1e6:.0f} MB: split it")
     lines = data.decode(errors="replace").splitlines()
     out: list[tuple[Place, float, Place, float | None]] = []
     for number, line in enumerate(lines, 1):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-LONGEST = 16
+LONGEST_LIST = 16
 
 
 def as_text(message: Any, indent: int = 0) -> str:
@@ -22,7 +22,7 @@ def as_text(message: Any, indent: int = 0) -> str:
             lines += [f"{pad}{field.name}:", as_text(value, indent + 1)]
         elif isinstance(value, list) and value and is_dataclass(value[0]):
             lines.append(f"{pad}{field.name}: # {len(value)} items")
-            for item in value[:LONGEST]:
+            for item in value[:LONGEST_LIST]:
                 first, *rest = as_text(item, indent + 1).splitlines()
                 lines += [f"{pad}- {first.strip()}", *rest]
         else:
@@ -32,8 +32,8 @@ def as_text(message: Any, indent: int = 0) -> str:
 
 def _scalar(value: Any) -> str:
     if isinstance(value, np.ndarray | list):
-        shown = ", ".join(_scalar(v) for v in value[:LONGEST])
-        more = f", ... {len(value)} items" if len(value) > LONGEST else ""
+        shown = ", ".join(_scalar(v) for v in value[:LONGEST_LIST])
+        more = f", ... {len(value)} items" if len(value) > LONGEST_LIST else ""
         return f"[{shown}{more}]"
     if isinstance(value, float | np.floating):
         return f"{value:.6g}"

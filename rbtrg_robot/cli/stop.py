@@ -20,7 +20,7 @@ from zenoh.handlers import Callback
 
 from rbtrg_robot.access.identity import client_tls, problem, remote
 from rbtrg_robot.latch import confirms, new_name
-from rbtrg_robot.orders.limits import PATIENCE, REPEAT, USE_HARDWARE, WORRY
+from rbtrg_robot.orders.limits import REPEAT_PERIOD, STOP_PATIENCE, USE_HARDWARE, WORRY_AFTER
 from rbtrg_robot.scope import Scope, meant
 from rbtrg_robot.terminal import say
 
@@ -47,7 +47,7 @@ def command(words: list[str]) -> int:
         return 130
 
 
-def stop(robot: str, patience: float = PATIENCE) -> int:
+def stop(robot: str, patience: float = STOP_PATIENCE) -> int:
     """Send the stop until the robot confirms it; 0 then, 1 after `patience` [s]. Prints what happened."""
     deadline = time.monotonic() + patience
     told = threading.Event()
@@ -63,7 +63,9 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
             )
             say(f"rbtrg-robot: {why}; still trying, {USE_HARDWARE}{hung}", error=True)
 
-    worry = threading.Timer(WORRY, tell)  # a computer that takes the connection and is silent costs 10 s
+    worry = threading.Timer(
+        WORRY_AFTER, tell
+    )  # a computer that takes the connection and is silent costs 10 s
     worry.daemon = True
     worry.start()
     try:
@@ -75,7 +77,7 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
                     with session:
                         return _send(session, prefix, deadline)
             tell()
-            time.sleep(REPEAT)
+            time.sleep(REPEAT_PERIOD)
     finally:
         worry.cancel()
     return 1
@@ -142,14 +144,14 @@ def _send(session: zenoh.Session, prefix: str, deadline: float) -> int:
         express=True,
     )
     sender = os.urandom(16)
-    sent, worried = 0, time.monotonic() + WORRY
+    sent, worried = 0, time.monotonic() + WORRY_AFTER
     while time.monotonic() < deadline:
         sent += 1
         now = time.time_ns()
         publisher.put(order(now, name), attachment=struct.pack("<qqB16s", sent, now, 16, sender))
         if sent == 1:
             session.declare_subscriber(f"{prefix}/{STATE_KEY}", Callback(heard, indirect=False))
-        if confirmed.wait(REPEAT):
+        if confirmed.wait(REPEAT_PERIOD):
             say(f"stopped: {causes[0]}")
             return 0
         if worried and time.monotonic() > worried:

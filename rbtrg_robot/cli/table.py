@@ -15,8 +15,8 @@ from rich.text import Text
 from rbtrg_robot.orders.words import goal_line, mission_line, robot_line
 from rbtrg_robot.terminal import plain, plain_all, say
 
-REFRESH = 0.5
-TOLD = 15.0
+REFRESH_PERIOD = 0.5
+TELL_PERIOD = 15.0
 """[s] between two words on a start where no screen shows it all the time."""
 VERDICTS = {True: Text("ok", style="green"), False: Text("bad", style="red"), None: Text("-")}
 """Of a topic's rate; None before it can be told."""
@@ -116,7 +116,7 @@ class Screen:
         self._console = Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._rich = self._console.is_terminal
-        self._due = 0.0 if self._rich else time.monotonic() + TOLD
+        self._due = 0.0 if self._rich else time.monotonic() + TELL_PERIOD
 
     def say(self, line: str) -> None:
         """An event."""
@@ -132,11 +132,11 @@ class Screen:
         if now < self._due:
             return
         if self._rich:
-            self._due = now + REFRESH
+            self._due = now + REFRESH_PERIOD
             with contextlib.suppress(OSError):
                 self._live.update(render(status), refresh=True)
         elif waits := _waits(status):
-            self._due = now + TOLD
+            self._due = now + TELL_PERIOD
             self.say(waits)
 
     def __enter__(self) -> Self:

@@ -14,7 +14,7 @@ from rbtrg_robot.scope import NAMED, ROBOT
 from rbtrg_robot.terminal import overwrite, say
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
-PERIOD = 0.05
+COMMAND_PERIOD = 0.05
 """[s] between two velocities; the robot lets go after 0.2 s of silence."""
 HELP = "w a s d or arrows drive while held, + - speed, space or Esc STOP, r resume the stack, q quit"
 
@@ -88,7 +88,7 @@ def _drive(bus: Any, speed: float) -> None:
             seen = 0 if state is None else stamp_of(state)
             bus.publish(t.TELEOP, _velocity(speed * forward, speed * left, seen), time.time_ns())
             driving = want is not None
-        for received in bus.take(PERIOD):
+        for received in bus.take(COMMAND_PERIOD):
             message = bus.open(received)
             if message is None:
                 continue
@@ -108,7 +108,7 @@ def _drive(bus: Any, speed: float) -> None:
             active = None
         if leaving and active is None and not driving:
             return
-        time.sleep(max(0.0, now + PERIOD - time.monotonic()))
+        time.sleep(max(0.0, now + COMMAND_PERIOD - time.monotonic()))
 
 
 def _keys() -> list[str]:

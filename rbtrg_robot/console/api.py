@@ -31,7 +31,7 @@ from rbtrg_robot.console.desk import FAILED, ONLY_SEE, Answer, Desk, Page, Refus
 from rbtrg_robot.console.door import STOP, WHO, Visitor
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.frames import finite
-from rbtrg_robot.console.missions import LARGEST, LAST_STEP
+from rbtrg_robot.console.missions import LARGEST_MISSION, LAST_STEP
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire.messages import stamp_of
 
@@ -39,9 +39,9 @@ log = logging.getLogger(__name__)
 
 STATE = ("robot", "goal", "mission", "mission_order", "map", "pose", "route", "areas", "stop")
 """Kinds of the page's frames that are kept while nobody looks."""
-ALIVE = 2.0
+ALIVE_PERIOD = 2.0
 """[s] between two signs of life on a stream of events."""
-ASK_AGAIN, PATIENCE = 1.0, 15.0
+ASK_AGAIN, PICTURE_PATIENCE = 1.0, 15.0
 """[s] between two requests for a picture, and for all of them: the camera's process loads what it needs with the first.
 """
 
@@ -341,7 +341,7 @@ class Api:
                     yield ": alive\n\n"  # also finds out that nobody listens
                 came.clear()
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(came.wait(), ALIVE)
+                    await asyncio.wait_for(came.wait(), ALIVE_PERIOD)
 
     async def _photo(self, _request: Request) -> Response:
         taken: asyncio.Future[msg.CompressedImage] = asyncio.get_running_loop().create_future()
@@ -351,7 +351,7 @@ class Api:
                 taken.set_result(message)
 
         with self._feed.listening(t.CAMERA, hear):
-            deadline = time.monotonic() + PATIENCE
+            deadline = time.monotonic() + PICTURE_PATIENCE
             while not taken.done() and time.monotonic() < deadline:
                 self._feed.film()
                 await asyncio.wait([taken], timeout=ASK_AGAIN)
@@ -367,7 +367,7 @@ class Api:
         assert call.body is not None
         page = self._page(request)
         try:
-            body = call.body.model_validate_json(await body_of(request, LARGEST) or b"{}")
+            body = call.body.model_validate_json(await body_of(request, LARGEST_MISSION) or b"{}")
             ok, words, found = await self._granted(page, call.wish, body.model_dump())
         except TooLong as error:
             return _said(413, str(error))

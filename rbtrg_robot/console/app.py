@@ -27,7 +27,7 @@ from rbtrg_robot.console.api import Api
 from rbtrg_robot.console.archive import Archive
 from rbtrg_robot.console.areas import Areas
 from rbtrg_robot.console.desk import FAILED, Desk, Page
-from rbtrg_robot.console.door import ENDED, OUTSIDE, STOP, VALID, WHO, Door, Guard, Visitor
+from rbtrg_robot.console.door import COOKIE_TIME, ENDED, OUTSIDE, STOP, WHO, Door, Guard, Visitor
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.maps import Maps
 from rbtrg_robot.console.missions import MissionFiles
@@ -38,9 +38,9 @@ from rbtrg_robot.process.runfiles import CONSOLE_ENTER
 log = logging.getLogger(__name__)
 
 PAGE = Path(__file__).parent / "page"
-DIGITS = 18
+MOST_DIGITS = 18
 """Of a whole number."""
-BEAT = 0.25
+BEAT_PERIOD = 0.25
 """[s] between two heartbeats of the server to its pages."""
 
 
@@ -55,7 +55,7 @@ async def texts(socket: WebSocket) -> AsyncIterator[str]:
 
 
 def _whole(digits: str) -> int:
-    if len(digits) > DIGITS:
+    if len(digits) > MOST_DIGITS:
         raise ValueError("no field of a message holds it")
     return int(digits)
 
@@ -150,7 +150,7 @@ class Site:
             holder = self._desk.lease.holder(now)
             content = {"ages": self._feed.ages(), "operator": holder, "pages": self._feed.pages}
             self._feed.tell("beat", content, keep=False)
-            await asyncio.sleep(BEAT)
+            await asyncio.sleep(BEAT_PERIOD)
 
     async def _enter(self, request: Request) -> Response:
         cookie = self._door.enter(request.query_params.get("token", ""))
@@ -160,7 +160,7 @@ class Site:
         answer.set_cookie(
             self._door.cookie,
             cookie,
-            max_age=VALID,
+            max_age=COOKIE_TIME,
             path="/",
             secure=self._door.secure,
             httponly=True,

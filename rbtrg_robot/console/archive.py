@@ -26,7 +26,7 @@ from rbtrg_robot.topics import Role
 
 LARGEST_BODY = 10_000
 """Bytes."""
-PATIENCE = 10.0
+ARCHIVE_PATIENCE = 10.0
 """[s] for all of it."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,80}")
 
@@ -149,7 +149,7 @@ async def body_of(request: Request, most: int = LARGEST_BODY) -> bytes:
     """What was posted, up to `most` bytes. Raises Refused."""
     body = b""
     try:
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(ARCHIVE_PATIENCE):
             async for part in request.stream():
                 body += part
                 if len(body) > most:

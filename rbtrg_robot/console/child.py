@@ -31,7 +31,7 @@ from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode
 
-TOLD = 0.5
+TELL_PERIOD = 0.5
 """[s] between two lines of how far it is."""
 
 
@@ -52,7 +52,7 @@ class Progress:
         """So much of the log is done [s]."""
         self.seconds = seconds
         if time.monotonic() >= self._due:
-            self._due = time.monotonic() + TOLD
+            self._due = time.monotonic() + TELL_PERIOD
             tell(seconds=seconds)
 
 

@@ -36,13 +36,13 @@ from rbtrg_robot.wire.messages import header, stamp_of
 log = logging.getLogger(__name__)
 
 POSTURE_LIMIT = 30.0
-PRESENCE = 1.0
+PRESENCE_PERIOD = 1.0
 """[s] between two signs that an operator watches."""
 LOGS = ("replay", "pause replay", "live", "rerun")
 """Wishes that concern logs alone: from pages that show a replay, too."""
 FREE = ("ask", "photo", *LOGS)
 """Wishes of pages that do not operate."""
-RELEASED = 0.5
+RELEASE_TIME = 0.5
 """[s] after a confirmation: a state without a stop is a newer one."""
 Answer = tuple[bool, str, dict[str, Any] | None]
 """Whether it was done, why not, and what was found out."""
@@ -187,7 +187,7 @@ class Desk:
             page.slots.tell("link", {"delay": max(0.0, (stamp_of(self._feed.state) - seen) / NS)})
         if page.role is not Role.OPERATOR or not self.lease.take(page.number, now):
             return
-        if watched and now - self._present >= PRESENCE:
+        if watched and now - self._present >= PRESENCE_PERIOD:
             self._present = now
             stamp = time.time_ns()
             self._bus.publish(
@@ -221,7 +221,7 @@ class Desk:
         state = self._feed.state
         if (
             self.stop_state["state"] == "confirmed"
-            and now > self._confirmed + RELEASED
+            and now > self._confirmed + RELEASE_TIME
             and state
             and not state.estop
         ):

@@ -26,7 +26,7 @@ from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.process.runfiles import CONSOLE_ENTER, console_file
 from rbtrg_robot.topics import Role
 
-VALID = 12 * 3600
+COOKIE_TIME = 12 * 3600
 """[s] a cookie counts."""
 WHO = "rbtrg.who"
 """Key of the visitor in an ASGI scope."""
@@ -128,7 +128,7 @@ class Door:
                 del self._tokens[good]
                 self._renew(role)
                 self._write()
-                return self._signed(f"{role.value}.{int(time.time()) + VALID}.{secrets.token_hex(4)}")
+                return self._signed(f"{role.value}.{int(time.time()) + COOKIE_TIME}.{secrets.token_hex(4)}")
         return None
 
     def _signed(self, text: str) -> str:

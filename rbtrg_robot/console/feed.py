@@ -20,7 +20,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.console import frames
 from rbtrg_robot.console.terrain import Key, Terrain
 from rbtrg_robot.orders.words import goal_line, robot_line
-from rbtrg_robot.process.events import KEPT as KEPT_EVENTS
+from rbtrg_robot.process.events import KEPT_EVENTS as KEPT_EVENTS
 from rbtrg_robot.process.events import plain
 from rbtrg_robot.stages.navigation.goal import ACTIVE
 from rbtrg_robot.topics import Topic

@@ -3,7 +3,7 @@ back."""
 
 from __future__ import annotations
 
-VALID = 2.0
+LEASE_TIME = 2.0
 """[s] a lease lasts without being renewed."""
 
 
@@ -22,7 +22,7 @@ class Lease:
         """Take or renew it; with `confirmed` from whoever has it. False where another page has it."""
         if self.holder(now) not in (0, page) and not confirmed:
             return False
-        self._holder, self._until = page, now + VALID
+        self._holder, self._until = page, now + LEASE_TIME
         return True
 
     def give_back(self, page: int) -> None:

@@ -27,7 +27,7 @@ from rbtrg_robot.orders.mission import TellMission
 FOLDER = "missions"
 """Beside the runs."""
 LAST_STEP = 1_000_000
-LARGEST = 100_000
+LARGEST_MISSION = 100_000
 """Bytes of a mission that is posted."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]{0,80}\.ya?ml")
 
@@ -85,7 +85,7 @@ class MissionFiles:
         target = self._folder / name
         try:
             operator(request)
-            wish = json.loads(await body_of(request, LARGEST))
+            wish = json.loads(await body_of(request, LARGEST_MISSION))
             if not NAME.fullmatch(name):
                 raise Refused("a name has letters, digits, - and _, and ends with .yaml")
             await run_in_threadpool(self._write, target, wish)

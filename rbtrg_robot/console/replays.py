@@ -27,9 +27,9 @@ from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus
 
-DOMAINS, AWAY = 233, 100
+DOMAIN_COUNT, DOMAIN_OFFSET = 233, 100
 """ROS domains there are; the replay's is so many farther than the robot's."""
-FASTEST = 20.0
+FASTEST_REPLAY = 20.0
 PAUSE, GO_ON = b"p", b"g"
 """What a replay reads from its stdin."""
 SETTING = re.compile(r"[A-Za-z0-9_.]+=\S+")
@@ -45,7 +45,7 @@ class Playback:
     def __init__(self, config: StackConfig, loop: asyncio.AbstractEventLoop, run: str) -> None:
         """Blocks until the bus is open. Raises BusError."""
         self.run = run
-        self.domain = (config.domain + AWAY) % DOMAINS
+        self.domain = (config.domain + DOMAIN_OFFSET) % DOMAIN_COUNT
         self._bus = Bus(config.endpoint, "console", Scope(self.domain))
         self.feed = Feed(self._bus, config.capabilities(), loop, replayed=True)
         self._loop = loop
@@ -96,8 +96,8 @@ class Replays:
             rate, start = float(wish.get("rate") or 1.0), float(wish.get("start") or 0.0)
         except (TypeError, ValueError, OverflowError) as error:
             raise Refused("speed and start are numbers") from error
-        if not (0.05 <= rate <= FASTEST and 0.0 <= start < math.inf):
-            raise Refused(f"a replay has a speed of up to {FASTEST:g} and starts at 0 s or later")
+        if not (0.05 <= rate <= FASTEST_REPLAY and 0.0 <= start < math.inf):
+            raise Refused(f"a replay has a speed of up to {FASTEST_REPLAY:g} and starts at 0 s or later")
         looking = self._looking()
         await self.stop()
         playback = await run_in_threadpool(Playback, self._config, self._loop, folder.name)

@@ -35,17 +35,17 @@ from rbtrg_robot.wire.heart import Heart
 
 log = logging.getLogger(__name__)
 
-LARGEST = 16_384
+LARGEST_REQUEST = 16_384
 """Bytes of a message from a page, and of the head of a request."""
 TURN_TAKES = 64
 """Connections that are accepted in one turn of the loop."""
-STRANGERS = 400
+MOST_STRANGERS = 400
 """Connections without a cookie. A browser shows its cookie with its first bytes, which are read a few turns of the loop
 after it was let in, and each turn lets in as many as TURN_TAKES."""
-GUESTS = 128
+MOST_GUESTS = 128
 """Connections with one. A page holds one, and up to six more while it loads."""
 LOOPBACK = "127.0.0.1"
-STATUS_PERIOD, TURN = 1.0, 0.05
+STATUS_PERIOD, TURN_PERIOD = 1.0, 0.05
 """[s]"""
 
 
@@ -62,7 +62,7 @@ def listening(host: str, port: int) -> CrowdedSocket:
 
     for wanted in (port, 0):
         try:
-            return CrowdedSocket(host, wanted, strangers=STRANGERS, guests=GUESTS, asks=asks)
+            return CrowdedSocket(host, wanted, strangers=MOST_STRANGERS, guests=MOST_GUESTS, asks=asks)
         except OSError as error:
             if wanted == 0 or host != LOOPBACK:  # elsewhere people wrote the address down
                 raise ConsoleError(
@@ -96,7 +96,7 @@ class Serving:
 
     def turn(self, bus: Bus) -> None:
         """Hand on what came, repeat what is due."""
-        for received in bus.take(TURN):
+        for received in bus.take(TURN_PERIOD):
             # What is so before the order that it answers: who reads that the stop is confirmed sees it.
             if received.topic in HEARD:
                 self.feed.take(received)
@@ -143,8 +143,8 @@ def serving(config: StackConfig, bus: Bus, lead: tuple[Path, list[str]] | None =
             proxy_headers=False,
             server_header=False,
             ws_per_message_deflate=False,
-            ws_max_size=LARGEST,
-            h11_max_incomplete_event_size=LARGEST,
+            ws_max_size=LARGEST_REQUEST,
+            h11_max_incomplete_event_size=LARGEST_REQUEST,
             http="h11",
             backlog=TURN_TAKES,
             timeout_graceful_shutdown=1,

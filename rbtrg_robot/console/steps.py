@@ -16,15 +16,15 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused
 from rbtrg_robot.console.feed import HEARD, Feed
 from rbtrg_robot.console.frames import route
-from rbtrg_robot.console.replays import FASTEST
+from rbtrg_robot.console.replays import FASTEST_REPLAY
 from rbtrg_robot.hosts.stepping import Stepper
 from rbtrg_robot.stages.navigation.reasons import words
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Received
 
-PATIENCE = 60.0
+STEP_PATIENCE = 60.0
 """[s] that a page waits for a step; a seek goes on behind it."""
-TOLD = 0.2
+TELL_PERIOD = 0.2
 """[s] between two lines of how far it is."""
 
 
@@ -74,7 +74,7 @@ class Steps:
     def _message(self, topic: Topic, payload: bytes, stamp: int, sequence: int) -> None:
         if topic in HEARD:
             self._feed.take(Received(topic, payload, stamp, sequence))
-        if time.monotonic() - self._told > TOLD:
+        if time.monotonic() - self._told > TELL_PERIOD:
             self._told = time.monotonic()
             self._stood()
 
@@ -96,7 +96,7 @@ class Steps:
 
     async def _led(self, act: Callable[[], None]) -> Answer:
         await run_in_threadpool(act)
-        await run_in_threadpool(self.stepper.wait, PATIENCE)
+        await run_in_threadpool(self.stepper.wait, STEP_PATIENCE)
         return True, "", None
 
     async def _step(self, _page: Page, wish: dict[str, Any]) -> Answer:
@@ -104,7 +104,7 @@ class Steps:
         if what in ("message", "scan"):
             return await self._led(lambda: stepper.step(what))  # type: ignore[arg-type]
         if what == "play":
-            rate = _number(wish, "rate", 0.05, FASTEST)
+            rate = _number(wish, "rate", 0.05, FASTEST_REPLAY)
             await run_in_threadpool(stepper.play, rate)
             self.tell()
             return True, "", None

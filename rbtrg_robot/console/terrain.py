@@ -28,17 +28,17 @@ from mapping.filling import slope_and_step
 SHOWN = ("elevation", "trusted", "source")
 HEIGHT = PATCH_LAYERS.index("elevation")
 HEADER = struct.Struct("<ii")
-LIMIT = 200
+RISK_LIMIT = 200
 """Ground risk of ground at the robot's limit."""
-MOST = 40
+MOST_TILES = 40
 """Tiles of one message: 0.7 MB."""
-UNKNOWN = -32768
+UNKNOWN_HEIGHT = -32768
 KINDS = np.array([0, 4, 3, 2, 5, 2, 4, 0], np.uint8)
 """Trust on the wire by the map's `source`: unknown, wheels, LiDAR, bridged, assumed, plants: as bridged, touched: as
 felt by the wheels, holes: as unknown."""
 MEASURED = (1, 2)
 """Sources of a height that was seen: wheels, LiDAR."""
-AGREES = 0.1
+HEIGHT_AGREES = 0.1
 """[m] between a point and the height of its cell, where the point shows that the cell is still there."""
 Key = tuple[int, int]
 
@@ -49,7 +49,7 @@ class _Tile:
     seen: NDArray[np.float64]
     """Time of the newest look at each cell; -inf where there was none."""
     heights: NDArray[np.int16] = field(
-        default_factory=lambda: np.full((TILE_SIDE, TILE_SIDE), UNKNOWN, np.int16)
+        default_factory=lambda: np.full((TILE_SIDE, TILE_SIDE), UNKNOWN_HEIGHT, np.int16)
     )
     told: bool = False
     """When its cells were seen was told with their heights."""
@@ -139,14 +139,14 @@ class Terrain:
             if layers is None or tile is None:
                 continue
             r, c = row[mine] % TILE_SIDE, col[mine] % TILE_SIDE
-            agrees = np.abs(places[mine, 2] - layers[HEIGHT][r, c]) < AGREES
+            agrees = np.abs(places[mine, 2] - layers[HEIGHT][r, c]) < HEIGHT_AGREES
             if agrees.any():
                 tile.seen[r[agrees], c[agrees]] = now
                 tile.looks += 1
 
     def prepare(self) -> None:
         """Make some tiles ready to be sent. In the thread that feeds: sending waits for nothing."""
-        for key in [key for key, tile in self._tiles.items() if tile.body is None][:MOST]:
+        for key in [key for key, tile in self._tiles.items() if tile.body is None][:MOST_TILES]:
             self._tiles[key].body = self._body(key, self._tiles[key])
 
     def newer(self, sent: dict[Key, int], x: float, y: float) -> bytes:
@@ -180,11 +180,11 @@ class Terrain:
     def _nearest(
         self, keys: Iterable[Key], sent: dict[Key, int], x: float, y: float, version: str
     ) -> list[Key]:
-        """Those of which a newer version is there, the nearest first, at most MOST."""
+        """Those of which a newer version is there, the nearest first, at most MOST_TILES."""
         size = TILE_SIDE * self._mirror.resolution
         due = [key for key in keys if sent.get(key) != getattr(self._tiles[key], version)]
         due.sort(key=lambda key: (size * (key[0] + 0.5) - y) ** 2 + (size * (key[1] + 0.5) - x) ** 2)
-        return due[:MOST]
+        return due[:MOST_TILES]
 
     def _body(self, key: Key, tile: _Tile) -> bytes:
         mirror = self._mirror
@@ -197,7 +197,7 @@ class Terrain:
         height, trusted, source = (outer[name][inner] for name in SHOWN)
         risk = ground_risk(slope[inner], step[inner], mirror.resolution, self._slope, self._step)
         known = np.isfinite(height)
-        millimetres = np.where(known, np.clip(np.nan_to_num(height) * 1000.0, -32767, 32767), UNKNOWN)
+        millimetres = np.where(known, np.clip(np.nan_to_num(height) * 1000.0, -32767, 32767), UNKNOWN_HEIGHT)
         millimetres = millimetres.astype("<i2")
         measured = np.isin(source, MEASURED)
         if not tile.told:  # a height that is new was seen now
@@ -216,7 +216,8 @@ def ground_risk(
     max_slope: float,
     max_step: float,
 ) -> NDArray[np.uint8]:
-    """Cells' risk 0..254, LIMIT at the robot's limits, 255 unknown. `slope` [rad], `step` [m] as in `slope_and_step`.
+    """Cells' risk 0..254, RISK_LIMIT at the robot's limits, 255 unknown. `slope` [rad], `step` [m] as in
+    `slope_and_step`.
 
     A step higher than the steepest drivable slope makes between diagonal neighbours is a face, and no slope counts
     there.
@@ -224,7 +225,9 @@ def ground_risk(
     with np.errstate(invalid="ignore"):
         face = step > math.sqrt(2.0) * resolution * math.tan(max_slope)
         share = np.where(face, step / max_step, slope / max_slope)
-    return np.where(np.isfinite(share), np.clip(np.nan_to_num(share) * LIMIT, 0, 254), 255).astype(np.uint8)
+    return np.where(np.isfinite(share), np.clip(np.nan_to_num(share) * RISK_LIMIT, 0, 254), 255).astype(
+        np.uint8
+    )
 
 
 def trust_of(trusted: NDArray[np.float32], source: NDArray[np.float32]) -> NDArray[np.uint8]:

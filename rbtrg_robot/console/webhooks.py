@@ -17,11 +17,11 @@ from rbtrg_robot.process.events import plain
 
 log = logging.getLogger(__name__)
 
-WAITING = 200
+WAITING_EVENTS = 200
 """Events that wait for an address; more are lost, the newest first."""
-PATIENCE = 5.0
+REQUEST_PATIENCE = 5.0
 """[s] for one request."""
-AGAIN = (1.0, 5.0, 20.0)
+RETRY_TIMES = (1.0, 5.0, 20.0)
 """[s] until a request that failed is tried again."""
 
 
@@ -35,7 +35,7 @@ class Webhook:
 
     def __init__(self, address: str, robot: str) -> None:
         self._address, self._robot = address, robot
-        self._queue: queue.Queue[dict[str, Any]] = queue.Queue(WAITING)
+        self._queue: queue.Queue[dict[str, Any]] = queue.Queue(WAITING_EVENTS)
         self._end = threading.Event()
         self._opener = urllib.request.build_opener(_NoRedirect())
         threading.Thread(target=self._run, name="webhook", daemon=True).start()
@@ -45,7 +45,7 @@ class Webhook:
         try:
             self._queue.put_nowait({"robot": self._robot, **plain(event)})
         except queue.Full:
-            log.warning("webhook %s: event %d is lost, %d wait", self._address, event.number, WAITING)
+            log.warning("webhook %s: event %d is lost, %d wait", self._address, event.number, WAITING_EVENTS)
 
     def close(self) -> None:
         """Nothing is sent any more; a request that is under way ends with the process."""
@@ -57,7 +57,7 @@ class Webhook:
                 event = self._queue.get(timeout=0.5)
             except queue.Empty:
                 continue
-            for pause in (*AGAIN, 0.0):
+            for pause in (*RETRY_TIMES, 0.0):
                 wrong = self._send(event)
                 if not wrong or self._end.wait(pause):
                     break
@@ -70,7 +70,7 @@ class Webhook:
             self._address, json.dumps(event).encode(), {"Content-Type": "application/json"}, method="POST"
         )
         try:
-            self._opener.open(request, timeout=PATIENCE).close()
+            self._opener.open(request, timeout=REQUEST_PATIENCE).close()
         except (
             OSError,
             ValueError,

@@ -23,9 +23,9 @@ from rbtrg_robot.wire.convert import LayoutError, imu_sample, joint_sample, lida
 from rbtrg_robot.wire.messages import MessageError, decode
 
 Sample = ImuSample | JointSample | LidarScan
-PASSES = 3
+PASS_COUNT = 3
 """The second and the third start from what the one before found: sweeps are no longer bent by a wrong clock."""
-NEEDED = 20
+NEEDED_SCANS = 20
 """Scans below which nothing is said."""
 HEARD: tuple[Topic, ...] = (t.IMU, t.JOINTS, *t.SWEEPS.values())
 _NAMES = {topic: name for name, topic in t.SWEEPS.items()}
@@ -84,7 +84,7 @@ def calibrate(
     those seen in the motion. Raises CalibrationError if the samples say too little."""
     mounted = {lidar.name: lidar for lidar in lidars}
     late: dict[LidarName, float] = dict.fromkeys(mounted, 0.0)
-    for _ in range(PASSES):
+    for _ in range(PASS_COUNT):
         odometry = LidarInertialOdometry(params, {name: lidar.mount for name, lidar in mounted.items()}, own)
         scans = 0
         for sample in samples:
@@ -95,7 +95,7 @@ def calibrate(
             elif sample.name in late:
                 odometry.add_scan(replace(sample, stamp=sample.stamp + round(late[sample.name] * NS)))
             scans += sum(bool(scan.clouds) for scan in odometry.poll())
-        if scans < NEEDED:
+        if scans < NEEDED_SCANS:
             raise CalibrationError(
                 f"only {scans} scans were registered: the robot must rest for a second, then move, with "
                 "LiDAR, IMU and joints"

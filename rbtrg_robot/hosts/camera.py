@@ -19,7 +19,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.hosts.memory import give_back
-from rbtrg_robot.log.moments import AROUND, HEARS, Moments
+from rbtrg_robot.log.moments import HEARS, TIME_AROUND, Moments
 from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
@@ -29,15 +29,15 @@ from rbtrg_robot.wire.messages import array, header, stamp_of
 
 log = logging.getLogger(__name__)
 
-LOOKS = 2.0
+LOOK_TIME = 2.0
 """[s] for which a request counts: whoever looks repeats it every second."""
-RECORDED = 1.0
+RECORD_PERIOD = 1.0
 """[s] between two frames for the log."""
-SHARE = 0.2
+CORE_SHARE = 0.2
 """Of a core: frames that cost less come all the time."""
-RETRY = 5.0
+RETRY_AFTER = 5.0
 """[s] until a camera that failed is tried again."""
-TURN = 0.02
+TURN_PERIOD = 0.02
 """[s]"""
 
 
@@ -55,17 +55,17 @@ class Demand:
     _looks_until: float = -math.inf
     _last: float = -math.inf
 
-    def looked_at(self, now: float, seconds: float = LOOKS) -> None:
+    def looked_at(self, now: float, seconds: float = LOOK_TIME) -> None:
         """Somebody looks for so long, or something happened that will be looked at."""
         self._looks_until = max(self._looks_until, now + seconds)
 
     def due(self, now: float) -> bool:
         """Whether a frame is due; then the next one is due a period later."""
-        cheap = self.cost * self.rate < SHARE
+        cheap = self.cost * self.rate < CORE_SHARE
         if now < self._looks_until or (self.always is None and cheap) or self.always:
             period = 1.0 / self.rate
         elif self.recorded:
-            period = max(RECORDED, 1.0 / self.rate)
+            period = max(RECORD_PERIOD, 1.0 / self.rate)
         else:
             return False
         if now - self._last < period:
@@ -82,9 +82,9 @@ def source_of(config: StackConfig, camera: MountedCamera) -> CameraSource:
         return StreamCamera(camera, config.camera.source)
     if config.simulated:
         from hal.mujoco.view.camera import RenderedCamera
-        from rbtrg_robot.hosts.robot import BEGIN
+        from rbtrg_robot.hosts.robot import CLOCK_BEGIN
 
-        return RenderedCamera(camera, config.load_scene(), config.sim.obstacles, BEGIN, config.facts)
+        return RenderedCamera(camera, config.load_scene(), config.sim.obstacles, CLOCK_BEGIN, config.facts)
     from hal.unitree.video import HeadCamera
 
     return HeadCamera(camera, config.interface, config.unitree_options().dds_domain(config.interface))
@@ -110,7 +110,7 @@ def main(
     try:
         while not stopping():
             heart.beat(detail=desk.trouble)
-            for received in bus.take(TURN):
+            for received in bus.take(TURN_PERIOD):
                 message = bus.open(received)
                 if message is not None:
                     desk.take(received.topic, message, time.monotonic())
@@ -147,7 +147,7 @@ class Desk:
             self._demand.looked_at(now)
         elif topic in HEARS:
             if self._moments.begins(topic, message):
-                self._demand.looked_at(now, AROUND)
+                self._demand.looked_at(now, TIME_AROUND)
         elif self._source is not None and t.TRUTH.carried(message, topic):
             place = message.pose.pose
             self._source.follow(stamp_of(message), xyz(place.position), xyzw(place.orientation))
@@ -169,7 +169,7 @@ class Desk:
         except CameraError as error:
             if self.trouble != str(error):
                 log.warning("camera: %s", error)
-            self.trouble, self._retry = str(error), now + RETRY
+            self.trouble, self._retry = str(error), now + RETRY_AFTER
             self.close()
             return None
         self.trouble = ""

@@ -14,10 +14,10 @@ from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import BY_NAME, Topic
 from rbtrg_robot.wire import messages
 
-PATIENCE = 5 * NS
+MESSAGE_PATIENCE = 5 * NS
 """[ns] of the log after a step was recorded: a message that has not come by then was never recorded, and the stage goes
 on without it."""
-BEHIND = 64
+KEPT_BEHIND = 64
 """Messages of a topic before the one just taken that are still kept: two publishers' may be taken in another order than
 recorded."""
 
@@ -46,7 +46,7 @@ class Inbox:
         if found is None:
             return None
         number, payload = found
-        while len(waiting) > BEHIND and next(iter(waiting.values()))[0] < number:
+        while len(waiting) > KEPT_BEHIND and next(iter(waiting.values()))[0] < number:
             waiting.popitem(last=False)
         return payload
 
@@ -76,7 +76,7 @@ class Follower:
                 self._inboxes[name].put(topic.name, sequence, stamp, payload)
         self._run()
         for name, steps in self._steps.items():
-            if steps and self.now - steps[0][3] > PATIENCE:
+            if steps and self.now - steps[0][3] > MESSAGE_PATIENCE:
                 self._skip(name)
 
     def finish(self) -> None:

@@ -25,10 +25,10 @@ Row = tuple[str, str]
 """Name and value, in words."""
 
 OURS = ("hal.", "mapping.", "planning.", "rbtrg_robot.")
-DEEP = 2
+MOST_DEPTH = 2
 """Objects within a stage and within these are looked into."""
-MOST = 250
-FEW = 8
+MOST_LINES = 250
+FEW_ITEMS = 8
 """Values of a list that are shown one by one."""
 
 
@@ -36,10 +36,10 @@ def figures(stage: Stage) -> list[Row]:
     """Everything in the stage that is a number, a word or a few of them, by the names the code has for it; of what is
     larger, its size."""
     rows = []
-    for row in _rows(stage, "", DEEP, {id(stage)}):
+    for row in _rows(stage, "", MOST_DEPTH, {id(stage)}):
         rows.append(row)
-        if len(rows) == MOST:
-            rows.append(("...", f"the first {MOST} are shown"))
+        if len(rows) == MOST_LINES:
+            rows.append(("...", f"the first {MOST_LINES} are shown"))
             break
     return rows
 
@@ -85,7 +85,7 @@ def _words(value: Any) -> str | None:
 
 
 def _few(values: list[Any], otherwise: str) -> str:
-    if not values or len(values) > FEW:
+    if not values or len(values) > FEW_ITEMS:
         return otherwise if values else "nothing"
     words = [_words(value) for value in values]
     return ", ".join(word for word in words if word is not None) if None not in words else otherwise
@@ -102,7 +102,7 @@ def brief(message: Message) -> str:
                 inner = brief(value)
                 words += [f"{name}: {inner}"] if inner else []
         elif isinstance(value, np.ndarray | list):
-            if len(value) > FEW:
+            if len(value) > FEW_ITEMS:
                 words.append(f"{len(value)} {name}")
             elif len(value):
                 words.append(f"{name} {_few([*value], str(len(value)))}")

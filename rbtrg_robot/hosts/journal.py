@@ -18,11 +18,11 @@ from rbtrg_robot.wire.bus import Bus, Received
 
 TICK = 255
 """Instead of a topic: the clock ticked."""
-PERIOD = 0.5
+JOURNAL_PERIOD = 0.5
 """[s] between two journals of a process; what it took since the last one is lost with it."""
-LAST = 2**31 * NS
+LAST_STAMP = 2**31 * NS
 """[ns] The first stamp that no message holds."""
-SEQUENCES = 2**32
+SEQUENCE_COUNT = 2**32
 """MCAP keeps that much of a sequence number."""
 
 Step = tuple[str, int, int, int]
@@ -43,7 +43,9 @@ class Journal:
 
     def took(self, received: Received) -> None:
         """The stage is given this message."""
-        self._steps.append((self._index[received.topic.name], received.sequence % SEQUENCES, received.stamp))
+        self._steps.append(
+            (self._index[received.topic.name], received.sequence % SEQUENCE_COUNT, received.stamp)
+        )
 
     def ticked(self, now: int) -> None:
         """The stage ticks at `now` [ns]."""
@@ -54,7 +56,7 @@ class Journal:
         wall = time.monotonic()
         if not self._steps or (wall < self._due and not last):
             return
-        self._due = wall + PERIOD
+        self._due = wall + JOURNAL_PERIOD
         taken, sequence, stamp = zip(*self._steps, strict=True)
         self._steps.clear()
         self._bus.publish(
@@ -91,6 +93,6 @@ def read_journals(entries: Iterable[Entry]) -> tuple[dict[str, deque[Step]], set
         for index, sequence, stamp in zip(
             journal.taken.tolist(), journal.sequence.tolist(), journal.stamp.tolist(), strict=True
         ):
-            if 0 <= stamp < LAST and (index == TICK or index < len(journal.topic)):
+            if 0 <= stamp < LAST_STAMP and (index == TICK or index < len(journal.topic)):
                 own.append(("" if index == TICK else journal.topic[index], sequence, stamp, entry.log_time))
     return steps, restarted

@@ -15,7 +15,7 @@ from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.heart import Heart
 
-SHOWN = 500_000_000
+SHOW_PERIOD = 500_000_000
 """[ns] between two messages that are made for listeners alone."""
 
 
@@ -83,7 +83,7 @@ class Node:
     def _show(self, now: int) -> None:
         """What is made for others alone is made while somebody listens, and never recorded: a re-run needs none of
         it."""
-        due = now // SHOWN
+        due = now // SHOW_PERIOD
         if self._shows is None or due == self._shown:
             return
         if self._bus.advertise(self._shows.shown).wanted:

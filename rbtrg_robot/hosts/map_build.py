@@ -31,7 +31,7 @@ from rbtrg_robot.wire.messages import MessageError, decode
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of it that is."""
-PIXELS = (900, 1500)
+PICTURE_PIXELS = (900, 1500)
 """Of the picture's longer side, at least and at most."""
 LOOP_COLOUR, WAY_COLOUR = GREEN, WHITE
 
@@ -218,7 +218,7 @@ def _picture(made: ElevationMap, closed: Closed, path: Path) -> None:
     corners = np.array(made.boxes())
     row, col = corners[:, :2].min(axis=0)
     rows, cols = (corners[:, :2] + corners[:, 2:]).max(axis=0) - (row, col)
-    step = max(1, math.ceil(max(rows, cols) / PIXELS[1]))
+    step = max(1, math.ceil(max(rows, cols) / PICTURE_PIXELS[1]))
     height = np.full((-(-rows // step), -(-cols // step)), -np.inf, np.float32)
     for box in made.boxes():
         grid = made.read(box).grid()
@@ -227,7 +227,9 @@ def _picture(made: ElevationMap, closed: Closed, path: Path) -> None:
     known = np.isfinite(height)
     r = made.params.resolution
     origin = (float((col + 0.5 * (step - 1)) * r), float((row + 0.5 * (step - 1)) * r))
-    view = TopView(np.where(known, height, 0.0), known, origin, step * r, max(PIXELS[0], *height.shape))
+    view = TopView(
+        np.where(known, height, 0.0), known, origin, step * r, max(PICTURE_PIXELS[0], *height.shape)
+    )
     for refusal in closed.refused:
         if refusal.first != refusal.second and refusal.certainty > 0.0:
             view.line([_xy(closed.nodes[k]) for k in (refusal.first, refusal.second)], RED)

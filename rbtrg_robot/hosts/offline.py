@@ -12,7 +12,7 @@ from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.follow import Follower
-from rbtrg_robot.hosts.journal import LAST, Step, read_journals
+from rbtrg_robot.hosts.journal import LAST_STAMP, Step, read_journals
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
 from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogError, first_of, read_run
@@ -241,7 +241,7 @@ def _feed(
                 now = stamp_in(entry.data, topic.type)
             else:
                 now = host.now if simulated else entry.log_time
-            if not 0 <= now < LAST:
+            if not 0 <= now < LAST_STAMP:
                 continue
             if first is None and now:
                 first = now

@@ -100,7 +100,7 @@ def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
     return backend
 
 
-BEGIN = 1_767_225_600 * NS
+CLOCK_BEGIN = 1_767_225_600 * NS
 """[ns] A simulated clock begins at 2026-01-01 00:00 UTC: programs of others take a stamp near 0 for none, and drop it.
 """
 
@@ -162,7 +162,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
     """The process: paced in real time."""
     heart = Heart(bus, BY_NAME["robot"].name)
     heart.beat("starting")
-    stage = build(config, restored, bus.clock, BEGIN)
+    stage = build(config, restored, bus.clock, CLOCK_BEGIN)
     window: Window | None = None
     now = stage.start_time if config.simulated else bus.clock()
     told = False

@@ -14,7 +14,7 @@ from rbtrg_robot.importer.bag import Bag
 from rbtrg_robot.log.read import LogError
 
 LAYER = "elevation"
-MAXIMUM = 50_000_000
+MOST_CELLS = 50_000_000
 """Cells."""
 
 
@@ -54,7 +54,7 @@ def _grid(message: Any, layer: str, name: str) -> ElevationGrid:
     part = message.data[message.layers.index(layer)]
     cells = [d.size for d in part.layout.dim]
     labels = [d.label for d in part.layout.dim]
-    if len(cells) != 2 or not 0 < cells[0] * cells[1] <= MAXIMUM or part.data.size != cells[0] * cells[1]:
+    if len(cells) != 2 or not 0 < cells[0] * cells[1] <= MOST_CELLS or part.data.size != cells[0] * cells[1]:
         raise LogError(f"{name}: layer {layer} is no array of {' x '.join(map(str, cells))} cells")
     along = np.asarray(part.data, np.float32).reshape(cells)
     if labels[0] == "row_index":  # stored row by row

@@ -17,7 +17,7 @@ from rbtrg_robot.config import ConfigError
 
 BASES = ("base_link", "base_footprint", "base", "body", "trunk")
 """Names of the robot's own frame, the best first."""
-DEEPEST = 64
+DEEPEST_TREE = 64
 """Frames between a sensor and the root of a tree."""
 LARGEST_URDF = 20_000_000
 """Bytes."""
@@ -69,7 +69,7 @@ class Frames:
         """A sensor in the robot's own frame; None where the tree does not say."""
         pose = np.eye(4)
         at, seen = frame.strip("/"), {}
-        for _ in range(DEEPEST):
+        for _ in range(DEEPEST_TREE):
             seen[at] = pose
             if at not in self._parents:
                 break

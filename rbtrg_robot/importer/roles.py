@@ -22,15 +22,15 @@ from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
 
 LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
 CLOUD = msg.PointCloud2.__msgtype__
-PROBE = 60
+PROBE_MESSAGES = 60
 """Messages of a topic that are looked at."""
 PROBE_SPAN = 15 * NS
 """[ns] of the recording that are looked at, at least."""
-APART = 1.5
+POINT_RATIO = 1.5
 """A LiDAR that gives so many times the points of another is the main one, without a question."""
 IN_G = 0.5, 2.0
 """Mean of an accelerometer that counts in g lies between these; one in m/s^2 is at 9.8."""
-TURNED = 0.35
+TURNED_ANGLE = 0.35
 """Angle [rad] between what gravity says is up and the z axis of base_link from which the axes are told to differ."""
 
 
@@ -162,13 +162,15 @@ def probe(bag: Bag, frames: Frames) -> dict[str, Probe]:
                     frames.take(decode(data, msg.TFMessage))
                 except MessageError as error:
                     one.broken = str(error)
-        elif one.seen < PROBE:
+        elif one.seen < PROBE_MESSAGES:
             one.seen += 1
             try:
                 _look(one, source, log_time, data)
             except (WireError, MessageError) as error:
                 one.broken = str(error)
-        missing = [p for p in found.values() if p.seen < min(PROBE, p.source.count or PROBE)]
+        missing = [
+            p for p in found.values() if p.seen < min(PROBE_MESSAGES, p.source.count or PROBE_MESSAGES)
+        ]
         if log_time - begin > PROBE_SPAN and all(p.seen == 0 for p in missing):
             break
     bag.damage.clear()
@@ -271,7 +273,7 @@ def _main(probes: Mapping[str, Probe], chosen: Mapping[str, Probe]) -> Probe | N
     clouds = [p for p in _whole(probes, "main") if any(p.points) and p is not chosen.get("head")]
     timed = [p for p in clouds if p.timed]  # a cloud that somebody made of sweeps carries no times
     fitting = sorted(timed or clouds, key=lambda p: -p.weight)
-    if len(fitting) > 1 and fitting[0].weight < APART * fitting[1].weight:
+    if len(fitting) > 1 and fitting[0].weight < POINT_RATIO * fitting[1].weight:
         raise RoleError(_question("main", fitting))
     return fitting[0] if fitting else None
 

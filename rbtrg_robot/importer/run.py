@@ -27,7 +27,7 @@ from rbtrg_robot.importer.roles import (
     LIVOX,
     MOUNTED,
     ROLES,
-    TURNED,
+    TURNED_ANGLE,
     Probe,
     RoleError,
     assign,
@@ -162,7 +162,7 @@ def _imu(found: Found, unit: str) -> None:
     mount = found.mounts["imu"]
     turn = rotation_rpy(*mount.rpy)
     angle = turned(one, turn)
-    if angle > TURNED:
+    if angle > TURNED_ANGLE:
         force = np.mean(one.accel, axis=0)
         up = int(np.argmax(np.abs(force)))
         x, y, z = turn @ force

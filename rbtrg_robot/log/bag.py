@@ -13,7 +13,7 @@ from rbtrg_robot.log.read import log_files
 from rbtrg_robot.log.summary import summary_of
 
 NAME = "metadata.yaml"
-VERSION = 5
+BAG_VERSION = 5
 """Of the description: the newest that ROS 2 Humble reads; later ones read it too."""
 
 
@@ -67,7 +67,7 @@ def _information(parts: list[tuple[Path, Summary]]) -> dict[str, Any]:
     begin = min(s.statistics.message_start_time for _, s in parts if s.statistics)
     end = max(s.statistics.message_end_time for _, s in parts if s.statistics)
     return {
-        "version": VERSION,
+        "version": BAG_VERSION,
         "storage_identifier": "mcap",
         "duration": {"nanoseconds": end - begin},
         "starting_time": {"nanoseconds_since_epoch": begin},

@@ -40,7 +40,7 @@ REDUCE: dict[str, Callable[[Sequence[Timed]], Timed]] = {
     "mean": lambda seen: (seen[-1][0], sum(value for _, value in seen) / len(seen)),
     "last": lambda seen: seen[-1],
 }
-NEAR = 1.0
+NEAR_PLACE = 1.0
 """[m] The way to a place nearer than this is not compared with the straight line."""
 SHORT: dict[str, Topic] = {
     "odometry": t.ODOM_HEALTH,
@@ -295,7 +295,7 @@ def _plans(*, relative: bool) -> Quantity:
         straight = math.hypot(plan.x[-1] - plan.x[0], plan.y[-1] - plan.y[0])
         if not relative:
             return (length,)
-        return (length / straight,) if straight >= NEAR else ()
+        return (length / straight,) if straight >= NEAR_PLACE else ()
 
     return Quantity((t.PLAN,), read, "x" if relative else "m")
 

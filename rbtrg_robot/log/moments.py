@@ -9,7 +9,7 @@ from typing import Any
 from rbtrg_robot import topics as t
 from rbtrg_robot.topics import Topic
 
-AROUND = 5.0
+TIME_AROUND = 5.0
 """[s] before and after."""
 FAILED = ("rejected", "aborted")
 """States of a goal that was not reached for a reason of its own."""
@@ -61,13 +61,13 @@ class Thinned:
             self._due = now + 0.9 * self._period  # messages come a little early and a little late
             return [message]
         self._before.append((now, message))
-        while now - self._before[0][0] > AROUND:
+        while now - self._before[0][0] > TIME_AROUND:
             self._before.popleft()
         return []
 
     def moment(self, now: float) -> list[Any]:
         """Something went wrong: the messages of before that were not written."""
-        self._until = now + AROUND
-        waiting = [message for at, message in self._before if now - at <= AROUND]
+        self._until = now + TIME_AROUND
+        waiting = [message for at, message in self._before if now - at <= TIME_AROUND]
         self._before.clear()
         return waiting

@@ -28,7 +28,7 @@ broken."""
 MOST_POINTS = 1 << 21
 """Points that a packed sweep may claim to have."""
 _QUANTA = {"x": POINT_QUANTUM, "y": POINT_QUANTUM, "z": POINT_QUANTUM, "intensity": 1.0, "time": TIME_QUANTUM}
-_LARGEST = 2.0**29
+_LARGEST_MULTIPLE = 2.0**29
 """Multiples from this on are kept as they are: differences must fit 32 bits."""
 _SIZE = struct.Struct("<I")
 _COMPRESSOR = zstandard.ZstdCompressor(level=3)
@@ -103,7 +103,7 @@ def _pack_points(points: NDArray[np.void]) -> bytes:
     for name, quantum in _QUANTA.items():
         value = points[name][order]
         rounded = np.rint(value.astype(np.float64) / quantum)
-        multiple = np.where(np.abs(rounded) < _LARGEST, rounded, 0.0).astype(np.int64)
+        multiple = np.where(np.abs(rounded) < _LARGEST_MULTIPLE, rounded, 0.0).astype(np.int64)
         kept = np.flatnonzero(
             (multiple * quantum).astype(np.float32).view(np.uint32) != value.view(np.uint32)
         )

@@ -19,7 +19,7 @@ from rbtrg_robot.wire.messages import MessageError, decode
 
 PATH_COLOUR = (255, 170, 40)
 TRACK_COLOUR = (90, 200, 255)
-STEP = 0.02
+TRAIL_STEP = 0.02
 """[m] between drawn places of the robot."""
 
 
@@ -50,7 +50,7 @@ def picture(log: Path, out: Path) -> float:
             if not track:
                 track.append((x, y))
             step = ((x - track[-1][0]) ** 2 + (y - track[-1][1]) ** 2) ** 0.5
-            if step >= STEP:
+            if step >= TRAIL_STEP:
                 driven += step
                 track.append((x, y))
         elif topic is t.ROUTE:

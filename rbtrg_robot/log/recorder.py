@@ -33,13 +33,13 @@ INBOX_DEPTH = 2000
 """Messages per topic that may wait while a chunk is compressed."""
 
 
-RETRY = 5.0
+RETRY_AFTER = 5.0
 """[s] until a recorder that had to stop tries again."""
 BULKY = frozenset({*t.SWEEPS.values(), *t.CLOUDS.values()})
 """Topics that go first when space is short."""
-PICTURES = 1.0
+PICTURE_PERIOD = 1.0
 """[s] between two pictures in the log, in the profile `standard`."""
-NOTHING = 0.1
+LEAST_SPARE = 0.1
 """Share of the spare space below which nothing is recorded."""
 
 
@@ -76,7 +76,7 @@ class Recorder:
         """What an operator should know, in plain words; empty when everything is recorded."""
         self.left_out = 0
         """Messages that were not recorded for want of space."""
-        self._moments, self._pictures = Moments(), Thinned(PICTURES)
+        self._moments, self._pictures = Moments(), Thinned(PICTURE_PERIOD)
         self._latched: dict[t.Topic, tuple[bytes, int, int]] = {}
         """Newest of each latched topic: who begins with a later file needs the frames and the robot's description, too.
         """
@@ -150,7 +150,7 @@ class Recorder:
 
     @property
     def _full(self) -> bool:
-        return self._free < NOTHING * self._params.spare_gb * GIGABYTE
+        return self._free < LEAST_SPARE * self._params.spare_gb * GIGABYTE
 
     def _look(self) -> None:
         """Free space, and what it means."""
@@ -183,7 +183,7 @@ class Recorder:
         if self.trouble != why:
             log.warning("%s", why)
         self.trouble = why
-        self._retry = time.monotonic() + RETRY
+        self._retry = time.monotonic() + RETRY_AFTER
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None

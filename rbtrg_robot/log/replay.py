@@ -22,7 +22,7 @@ from rbtrg_robot.log.read import Entry, read_run
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.bus import Bus
 
-LATE = 0.05
+LATE_AFTER = 0.05
 """A message published this late [s] counts as late."""
 LONGEST_PAUSE = 60.0
 """A longer silence [s] is no pause but a clock that was set, or a stamp that rolled over: it is told and not waited
@@ -30,7 +30,7 @@ for."""
 RATE_STEP = 1.1
 OF_PROCESSES = frozenset({t.HEARTBEAT, t.JOURNAL})
 """Told by processes that do not run in a replay."""
-LATEST = 2**63 - 1
+LATEST_STAMP = 2**63 - 1
 """A stamp on the wire [ns]; a log has room for later ones."""
 ROBOT = "robot"
 """The process that moves one."""
@@ -195,7 +195,7 @@ def play(
         else:
             lateness = time.monotonic() - due
             report.worst = max(report.worst, lateness)
-            report.late += len(pairs) if lateness > LATE else 0
+            report.late += len(pairs) if lateness > LATE_AFTER else 0
         for topic, entry in pairs:
             publish(bus, topic, entry, report)
         progress(position, controls)
@@ -205,5 +205,5 @@ def play(
 
 def publish(bus: Bus, topic: Topic, entry: Entry, report: Report) -> None:
     """The wire bytes as they were."""
-    bus.advertise(topic).put(entry.data, min(entry.publish_time, LATEST))
+    bus.advertise(topic).put(entry.data, min(entry.publish_time, LATEST_STAMP))
     report.messages += 1

@@ -27,7 +27,7 @@ from rbtrg_robot.log.read import (
     read_log,
 )
 
-TAIL = 9 + 20 + len(MCAP0_MAGIC)
+TAIL_BYTES = 9 + 20 + len(MCAP0_MAGIC)
 """Bytes of the footer and what follows."""
 
 
@@ -71,7 +71,7 @@ def summary_of(path: Path) -> Summary | None:
     found = Summary()
     try:
         with open_regular(path) as stream:
-            stream.seek(-TAIL, os.SEEK_END)
+            stream.seek(-TAIL_BYTES, os.SEEK_END)
             tail = stream.read()
             start = Footer.read(_content(tail, 9)).summary_start
             if tail[0] != Opcode.FOOTER or tail[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC or not start:
@@ -79,7 +79,7 @@ def summary_of(path: Path) -> Summary | None:
             stream.seek(start)
             section = stream.read()
         at = 0
-        while at + TAIL < len(section):
+        while at + TAIL_BYTES < len(section):
             opcode, length = struct.unpack_from("<BQ", section, at)
             at += 9
             if opcode == Opcode.SCHEMA:

@@ -22,9 +22,9 @@ from rbtrg_robot import msg
 from rbtrg_robot.log.read import LogError, read_run
 from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
 
-TOGETHER = 0.01
+SAME_MOMENT = 0.01
 """Two poses no further apart than this [s] are of one moment."""
-LARGEST = 200_000_000
+LARGEST_FILE = 200_000_000
 """Bytes of a trajectory file."""
 FORMATS = {".tum": "tum", ".txt": "tum", ".kitti": "kitti"}
 """By the end of a file's name."""
@@ -131,7 +131,7 @@ def read(path: Path) -> Trajectory:
     """A TUM or KITTI file, told by its columns. Raises LogError."""
     try:
         with open_regular(path) as file:
-            text = file.read(LARGEST).decode(errors="replace")
+            text = file.read(LARGEST_FILE).decode(errors="replace")
     except OSError as error:
         raise LogError(f"cannot read {path}: {error.strerror}") from error
     rows = [
@@ -175,7 +175,7 @@ def compare(
     first, second = _associate(estimate, reference)
     if len(first) < 3:
         raise LogError(
-            f"the two trajectories have {len(first)} moments in common (within {1000 * TOGETHER:.0f} ms): "
+            f"the two trajectories have {len(first)} moments in common (within {1000 * SAME_MOMENT:.0f} ms): "
             "are their clocks the same?"
         )
     own, other = estimate.at(first), reference.at(second)
@@ -210,7 +210,7 @@ def _associate(a: Trajectory, b: Trajectory) -> tuple[NDArray[np.int64], NDArray
     left = np.maximum(right - 1, 0)
     nearer = np.abs(long.stamps[left] - short.stamps) <= np.abs(long.stamps[right] - short.stamps)
     best = np.where(nearer, left, right)
-    together = np.abs(long.stamps[best] - short.stamps) <= TOGETHER * NS
+    together = np.abs(long.stamps[best] - short.stamps) <= SAME_MOMENT * NS
     asked, found = np.flatnonzero(together), best[together]
     return (asked, found) if swap else (found, asked)
 

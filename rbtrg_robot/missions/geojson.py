@@ -14,11 +14,11 @@ from typing import Any
 
 from hal.regular import open_regular
 from rbtrg_robot.missions.file import MissionError, MissionFile, parse
-from rbtrg_robot.yaml_file import LARGEST
+from rbtrg_robot.yaml_file import LARGEST_FILE
 
-EQUATOR = 6378137.0
+EQUATOR_RADIUS = 6378137.0
 """Semi-major axis of WGS 84 [m]."""
-ECCENTRICITY2 = 6.69437999014e-3
+ECCENTRICITY_SQUARED = 6.69437999014e-3
 """Its first eccentricity, squared."""
 
 
@@ -36,9 +36,9 @@ class Origin:
     def _radii(self) -> tuple[float, float]:
         """Of the meridian and, times the cosine of the latitude, of the parallel [m]."""
         s = math.sin(math.radians(self.latitude))
-        w = 1.0 - ECCENTRICITY2 * s * s
-        parallel = EQUATOR / math.sqrt(w) * math.cos(math.radians(self.latitude))
-        return EQUATOR * (1.0 - ECCENTRICITY2) / w**1.5, parallel
+        w = 1.0 - ECCENTRICITY_SQUARED * s * s
+        parallel = EQUATOR_RADIUS / math.sqrt(w) * math.cos(math.radians(self.latitude))
+        return EQUATOR_RADIUS * (1.0 - ECCENTRICITY_SQUARED) / w**1.5, parallel
 
     def to_earth(self, x: float, y: float) -> tuple[float, float]:
         """Longitude and latitude [deg] of a place in `map` [m]; 2 cm off at 500 m, as the ellipsoid is taken as flat
@@ -169,9 +169,9 @@ def load(path: Path, origin: Origin | None = None) -> MissionFile:
     """Read a GeoJSON file. Raises MissionError."""
     try:
         with open_regular(path) as file:
-            text = file.read(LARGEST + 1)
-        if len(text) > LARGEST:
-            raise MissionError(f"{path} has more than {LARGEST:,} bytes")
+            text = file.read(LARGEST_FILE + 1)
+        if len(text) > LARGEST_FILE:
+            raise MissionError(f"{path} has more than {LARGEST_FILE:,} bytes")
         return from_geojson(json.loads(text), str(path), origin)
     except OSError as error:
         raise MissionError(f"cannot read {path}: {error.strerror}") from error

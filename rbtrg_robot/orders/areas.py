@@ -9,7 +9,7 @@ from typing import Any
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND
+from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND_PERIOD
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP
@@ -23,7 +23,7 @@ class SetAreas(Order):
     sends = (t.AREAS_REQUEST,)
 
     def __init__(self, areas: Sequence[msg.GroundArea]) -> None:
-        super().__init__(RESEND, ANSWER_LIMIT)
+        super().__init__(RESEND_PERIOD, ANSWER_LIMIT)
         self._wanted = msg.Areas(
             header=header(time.time_ns(), MAP), id=uuid.uuid4().hex[:12], areas=list(areas)
         )

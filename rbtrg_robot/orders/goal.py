@@ -8,7 +8,7 @@ from typing import Any
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND
+from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND_PERIOD
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.stages.navigation.goal import GoalState
@@ -22,7 +22,7 @@ WATCHED_LIMIT = ANSWER_LIMIT + 10.0
 """[s] without a word of a goal that was answered before."""
 ASK_AGAIN, ASK_LIMIT = 4.0, 12.0
 """[s] A question costs the planner two searches: it is not repeated in haste."""
-OVERDUE = 10.0
+OVERDUE_TIME = 10.0
 """[s] after a goal's own timeout: a navigator that does not end it is waited for no longer."""
 
 
@@ -34,7 +34,7 @@ class SendGoal(Order):
 
     def __init__(self, request: msg.GoalRequest, *, wait: bool) -> None:
         """`wait`: to the end of the goal; otherwise until it moves."""
-        super().__init__(RESEND, ANSWER_LIMIT)
+        super().__init__(RESEND_PERIOD, ANSWER_LIMIT)
         self.status: msg.GoalStatus | None = None
         self._request = request
         self._wait = wait
@@ -50,7 +50,7 @@ class SendGoal(Order):
         self._first = now if math.isnan(self._first) else self._first
         if self.status is not None:
             self.began, self._limit = self._heard, WATCHED_LIMIT
-        if 0 < self._request.timeout < now - self._first - OVERDUE and self.outcome is None:
+        if 0 < self._request.timeout < now - self._first - OVERDUE_TIME and self.outcome is None:
             self.outcome = Outcome(False, "goal timed out", "aborted", "timeout")
         return super().tick(now)
 
@@ -77,7 +77,7 @@ class LastGoal(Order):
     hears = (t.GOAL_STATUS,)
 
     def __init__(self) -> None:
-        super().__init__(RESEND, ANSWER_LIMIT)
+        super().__init__(RESEND_PERIOD, ANSWER_LIMIT)
         self.status: msg.GoalStatus | None = None
 
     def message(self) -> None:
@@ -107,7 +107,7 @@ class CancelGoal(Order):
 
     def __init__(self, goal_id: str = "", owner: str = "") -> None:
         """The present goal where the id is empty. `owner`: who cancels."""
-        super().__init__(RESEND, ANSWER_LIMIT)
+        super().__init__(RESEND_PERIOD, ANSWER_LIMIT)
         self._id = goal_id
         self._owner = owner or me()
 

@@ -11,9 +11,9 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import stamp_of
 
-KEPT = 1000
+KEPT_POSES = 1000
 """Messages of odometry: 20 s and more."""
-APART = NS // 50
+STAMP_GAP = NS // 50
 """[ns] between two stamps of the same scan, at most."""
 
 
@@ -23,7 +23,7 @@ class Heard:
     hears = (t.ODOM, t.MAP_STATUS, t.AREAS)
 
     def __init__(self) -> None:
-        self._told: deque[tuple[msg.Odometry, float]] = deque(maxlen=KEPT)
+        self._told: deque[tuple[msg.Odometry, float]] = deque(maxlen=KEPT_POSES)
         self._status: msg.MapStatus | None = None
         self.areas: list[msg.GroundArea] = []
         """Drawn on the map."""
@@ -51,4 +51,4 @@ class Heard:
         """What it told of the scan at `stamp` [ns], and how much higher [m] the map lay then; None where that was not
         heard."""
         nearest = min(self._told, key=lambda told: abs(stamp_of(told[0]) - stamp), default=None)
-        return None if nearest is None or abs(stamp_of(nearest[0]) - stamp) > APART else nearest
+        return None if nearest is None or abs(stamp_of(nearest[0]) - stamp) > STAMP_GAP else nearest

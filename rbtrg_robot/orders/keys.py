@@ -6,7 +6,7 @@ key counts shorter."""
 
 from __future__ import annotations
 
-FIRST, REPEATED = 0.6, 0.15
+FIRST_HOLD, REPEATED_HOLD = 0.6, 0.15
 """[s] a key counts after it came once, and after it came again."""
 KEYS: dict[str, tuple[float, float]] = {
     "w": (1.0, 0.0),
@@ -32,9 +32,9 @@ class HeldKeys:
 
     def press(self, key: str, now: float) -> None:
         """A key came from the terminal."""
-        again = now - self._came.get(key, -1.0) < FIRST
+        again = now - self._came.get(key, -1.0) < FIRST_HOLD
         self._came[key] = now
-        self._until[key] = now + (REPEATED if again else FIRST)
+        self._until[key] = now + (REPEATED_HOLD if again else FIRST_HOLD)
 
     def clear(self) -> None:
         """Nothing is held."""

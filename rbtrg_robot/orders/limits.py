@@ -3,16 +3,16 @@ it."""
 
 from __future__ import annotations
 
-RESEND = 0.5
+RESEND_PERIOD = 0.5
 """Between two sendings of a goal, of a question to the planner."""
-REPEAT = 0.1
+REPEAT_PERIOD = 0.1
 """Between two sendings of a stop or of an order to the robot."""
 ANSWER_LIMIT = 3.0
 """Without any answer."""
-WORRY = 1.0
+WORRY_AFTER = 1.0
 """Without the robot's answer to a stop, after which the operator is told."""
-PATIENCE = 30.0
+STOP_PATIENCE = 30.0
 """Until a stop that nobody confirms is given up."""
-SETTLE = 1.0
+SETTLE_TIME = 1.0
 """Until an answer counts as one to the order and not as the state before."""
 USE_HARDWARE = "use the hardware stop"

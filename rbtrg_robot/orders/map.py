@@ -28,7 +28,7 @@ from rbtrg_robot.wire.messages import header, stamp_of
 if TYPE_CHECKING:
     from mapping.elevation.export import Limits
 
-AGAIN, LIMIT = 3.0, 15.0
+ASK_AGAIN, TIME_LIMIT = 3.0, 15.0
 """[s] between two requests, and until it is given up."""
 
 
@@ -39,7 +39,7 @@ class FetchMap(Order):
     sends = (t.MAP_REQUEST,)
 
     def __init__(self) -> None:
-        super().__init__(AGAIN, LIMIT)
+        super().__init__(ASK_AGAIN, TIME_LIMIT)
         self.patches: list[MapPatch] = []
         """All of it, once the outcome is there."""
         self._parts: dict[int, MapPatch] = {}
@@ -51,7 +51,7 @@ class FetchMap(Order):
 
     def message(self) -> tuple[Topic, msg.Message] | None:
         """The request, unless parts are coming."""
-        if time.monotonic() - self._heard < AGAIN:
+        if time.monotonic() - self._heard < ASK_AGAIN:
             return None
         return t.MAP_REQUEST, msg.MapRequest(header=header(time.time_ns(), ""), action="parts")
 
@@ -85,7 +85,7 @@ class ForgetTouched(Order):
     sends = (t.MAP_REQUEST,)
 
     def __init__(self) -> None:
-        super().__init__(AGAIN, LIMIT)
+        super().__init__(ASK_AGAIN, TIME_LIMIT)
 
     def message(self) -> tuple[Topic, msg.Message] | None:
         """The request."""
@@ -109,7 +109,7 @@ class LoadMap(Order):
     sends = (t.MAP_PRIOR,)
 
     def __init__(self, prior: msg.MapPrior) -> None:
-        super().__init__(AGAIN, LIMIT)
+        super().__init__(ASK_AGAIN, TIME_LIMIT)
         self._prior = prior
         self._epoch: int | None = None
         self._said = ""

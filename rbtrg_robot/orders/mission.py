@@ -10,7 +10,7 @@ from typing import Any
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.missions.words import line
-from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND
+from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND_PERIOD
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.topics import Topic
@@ -45,7 +45,7 @@ class TellMission(Order):
 
     def __init__(self, action: str, **fields: Any) -> None:
         """`fields` of rbtrg_msgs/MissionRequest."""
-        super().__init__(RESEND, ANSWER_LIMIT)
+        super().__init__(RESEND_PERIOD, ANSWER_LIMIT)
         self.state: msg.MissionState | None = None
         """With which it was answered."""
         fields = {"owner": me(), **fields}

@@ -13,7 +13,7 @@ from rbtrg_robot.msg import Message
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 
-TURN = 0.05
+LONGEST_WAIT = 0.05
 """Longest wait [s] for a message between two looks at the clock."""
 
 
@@ -85,7 +85,7 @@ def follow(bus: Bus, order: Order, heard: Callable[[Any], None] = lambda _: None
         bus.advertise(topic)
     while order.outcome is None:
         send(bus, order)
-        for received in bus.take(TURN):
+        for received in bus.take(LONGEST_WAIT):
             message = bus.open(received) if received.topic in order.hears else None
             if message is None or order.outcome is not None:
                 continue

@@ -10,7 +10,7 @@ from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import stamp_of
 
-AGAIN, LIMIT = 2.0, 30.0
+ASK_AGAIN, TIME_LIMIT = 2.0, 30.0
 """[s] between two requests, and for all of them: the camera's process loads what it needs with the first."""
 
 
@@ -21,7 +21,7 @@ class TakePhoto(Order):
     sends = (t.PHOTO_REQUEST,)
 
     def __init__(self, owner: str) -> None:
-        super().__init__(AGAIN, LIMIT)
+        super().__init__(ASK_AGAIN, TIME_LIMIT)
         self._owner = owner
 
     def message(self) -> tuple[Topic, msg.Message]:

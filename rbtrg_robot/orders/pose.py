@@ -9,14 +9,14 @@ from typing import Any
 from hal.rotation import wrap
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND
+from rbtrg_robot.orders.limits import ANSWER_LIMIT, RESEND_PERIOD
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, point, yaw_of, yaw_quaternion
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header
 
-NEAR = (0.05, 0.03)
+POSE_NEAR = (0.05, 0.03)
 """A robot that is this near [m, rad] is where it was said to be."""
 
 
@@ -28,7 +28,7 @@ class SetPose(Order):
 
     def __init__(self, x: float, y: float, yaw: float) -> None:
         """x, y [m], yaw [rad] in `map`."""
-        super().__init__(RESEND, ANSWER_LIMIT)
+        super().__init__(RESEND_PERIOD, ANSWER_LIMIT)
         self._frame = MapFrame()
         self._wanted = x, y, yaw
 
@@ -48,7 +48,7 @@ class SetPose(Order):
             return
         pose, (x, y, yaw) = message.pose.pose, self._wanted
         here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
-        if math.dist(here[:2], (x, y)) < NEAR[0] and abs(wrap(here[2] - yaw)) < NEAR[1]:
+        if math.dist(here[:2], (x, y)) < POSE_NEAR[0] and abs(wrap(here[2] - yaw)) < POSE_NEAR[1]:
             self.outcome = Outcome(True, "the robot stands there now; the map is laid anew")
 
     def silence(self) -> Outcome:

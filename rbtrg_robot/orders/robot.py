@@ -8,7 +8,14 @@ from typing import Any
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.latch import confirms, new_name
-from rbtrg_robot.orders.limits import ANSWER_LIMIT, PATIENCE, REPEAT, SETTLE, USE_HARDWARE, WORRY
+from rbtrg_robot.orders.limits import (
+    ANSWER_LIMIT,
+    REPEAT_PERIOD,
+    SETTLE_TIME,
+    STOP_PATIENCE,
+    USE_HARDWARE,
+    WORRY_AFTER,
+)
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.topics import Topic
@@ -35,13 +42,13 @@ class Stop(Order):
     sends = (t.ROBOT_STOP,)
 
     def __init__(self, cause: str = "operator") -> None:
-        super().__init__(REPEAT, PATIENCE)
+        super().__init__(REPEAT_PERIOD, STOP_PATIENCE)
         self._cause = cause
         self._name = new_name()
 
     def worried(self, now: float) -> bool:
-        """It was sent for longer than WORRY without an answer; `now` in s of `tick`."""
-        return self.outcome is None and now - self.began > WORRY
+        """It was sent for longer than WORRY_AFTER without an answer; `now` in s of `tick`."""
+        return self.outcome is None and now - self.began > WORRY_AFTER
 
     def message(self) -> tuple[Topic, msg.Message]:
         """The stop."""
@@ -65,7 +72,7 @@ class Resume(Order):
 
     def __init__(self, owner: str = "") -> None:
         """`owner`: as in `command`."""
-        super().__init__(REPEAT, ANSWER_LIMIT)
+        super().__init__(REPEAT_PERIOD, ANSWER_LIMIT)
         self._owner = owner
         self._latch: int | None = None
 
@@ -96,7 +103,7 @@ class Posture(Order):
 
     def __init__(self, what: str, limit: float) -> None:
         """`what`: of POSTURES; `limit` [s]."""
-        super().__init__(REPEAT, limit)
+        super().__init__(REPEAT_PERIOD, limit)
         self._what = what
         self._limit_said = limit
         self._now = 0.0
@@ -116,7 +123,7 @@ class Posture(Order):
         """A RobotState."""
         self.said = f"{message.phase}: {message.cause}"
         waited = self._now - self.began
-        if not waited >= SETTLE:
+        if not waited >= SETTLE_TIME:
             return
         if f"{self._what} refused" in message.cause:
             self.outcome = Outcome(False, message.cause)
@@ -125,7 +132,7 @@ class Posture(Order):
         elif message.phase in POSTURES[self._what]:
             latched = f"it stands; `rbtrg-robot resume` lets it drive ({message.estop_cause})"
             self.outcome = Outcome(True, latched if message.phase == "stopped" else "")
-        elif message.phase == "fault" and waited > 4 * SETTLE:
+        elif message.phase == "fault" and waited > 4 * SETTLE_TIME:
             self.outcome = Outcome(False, "")
 
     def silence(self) -> Outcome:

@@ -15,7 +15,7 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.ERROR,
     DiagnosticStatus.STALE,
 )
-SILENT = 2.0
+SILENT_AFTER = 2.0
 """A process without a heartbeat for this long [s] says nothing of the present."""
 FAILED = ("rejected", "aborted")
 """States of a goal that was not reached for a reason of its own."""
@@ -155,7 +155,9 @@ class Diagnosis:
 
 
 def _beats(row: dict[str, Any]) -> bool:
-    return row["state"] == "ready" and row["heartbeat_age"] is not None and row["heartbeat_age"] < SILENT
+    return (
+        row["state"] == "ready" and row["heartbeat_age"] is not None and row["heartbeat_age"] < SILENT_AFTER
+    )
 
 
 def receive_errors() -> int | None:

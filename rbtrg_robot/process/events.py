@@ -21,17 +21,17 @@ from rbtrg_robot.wire.messages import header, stamp_of
 
 MOST_SAID = 100
 """Different words about strangers: they choose their names."""
-QUIET = 10 * NS
+QUIET_TIME = 10 * NS
 """[ns] without refusals of a reason until the next one is told."""
-MARGIN = 0.1
+CHARGE_MARGIN = 0.1
 """Charge above the one at which the robot stops [0..1], from which on it is called low."""
 GRADES = ("info", "warning", "error")
 INFO, WARNING, ERROR = msg.Event.INFO, msg.Event.WARNING, msg.Event.ERROR
 FAILED = ("aborted", "rejected", "failed")
 """States of goals and missions that somebody did not want."""
-KEPT = 200
+KEPT_EVENTS = 200
 """Events that are told to whoever comes late."""
-LONGEST = 1000
+LONGEST_TEXT = 1000
 """Letters of a text: others choose some of them."""
 Place = tuple[float, float]
 """x, y [m] in `map`."""
@@ -75,7 +75,7 @@ class Events:
         self._least_battery = least_battery
         self._clock, self._recorder = clock, recorder
         self._due: list[msg.Event] = []
-        self._kept: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._kept: deque[dict[str, Any]] = deque(maxlen=KEPT_EVENTS)
         self._number = 0
         self._said: dict[Topic, str] = {}
         self._state = msg.RobotState(battery=1.0)
@@ -105,8 +105,8 @@ class Events:
                 number=self._number,
                 severity=severity,
                 kind=kind,
-                text=text[:LONGEST],
-                who=who[:LONGEST],
+                text=text[:LONGEST_TEXT],
+                who=who[:LONGEST_TEXT],
                 has_place=place is not None,
                 x=place[0] if place else 0.0,
                 y=place[1] if place else 0.0,
@@ -219,7 +219,7 @@ class Events:
         if bool(state.taken) != bool(before.taken):
             text = state.taken.partition(";")[0] or "the stack has the motion again"
             self.happened("hands", text, who="" if state.taken else self._asked.get("resume", ""))
-        low = state.battery < self._least_battery + MARGIN
+        low = state.battery < self._least_battery + CHARGE_MARGIN
         if low and not self._low:
             limit = f"; the robot stops at {100 * self._least_battery:.0f} %"
             self.happened("battery", f"battery at {100 * state.battery:.0f} %{limit}", WARNING)
@@ -230,9 +230,9 @@ class Events:
         """What a stop refuses is no news."""
         now = stamp_of(state)
         for reason, count in zip(state.refused_reason, state.refused_count.tolist(), strict=True):
-            had, newest = self._refused.get(reason, (0, -QUIET))
+            had, newest = self._refused.get(reason, (0, -QUIET_TIME))
             if count > had and reason != RefusalReason.LATCHED:
-                if now - newest >= QUIET:
+                if now - newest >= QUIET_TIME:
                     self.happened("refusal", f"command refused, {reason}", WARNING)
                 newest = now
             self._refused[reason] = count, newest

@@ -22,9 +22,9 @@ from rbtrg_robot.wire.messages import stamp_of
 
 RATE_SHARE = 0.8
 """A topic is well at this share of its nominal rate."""
-BUSY = 1.0
+BUSY_AFTER = 1.0
 """[s] without a heartbeat, of two a second."""
-WINDOW = 2.0
+RATE_WINDOW = 2.0
 """Rates are measured over about this long [s]."""
 SIMULATED_RATE_FLOOR = 0.5
 """A slow simulator slows every topic; its real-time factor is reported beside."""
@@ -44,7 +44,7 @@ class TopicHealth:
         if self.history and self.history[-1][1] == 0:
             self.history.clear()  # it has only just begun: silence before that is no low rate
         self.history.append((wall, count))
-        while len(self.history) > 2 and wall - self.history[1][0] > WINDOW:
+        while len(self.history) > 2 and wall - self.history[1][0] > RATE_WINDOW:
             self.history.pop(0)
         self.newest = newest
 
@@ -131,7 +131,7 @@ class Health:
     def busy(self, process: str) -> bool:
         """It is at work on something long: no heartbeat for a second, after others."""
         age = self.beat_age(process)
-        return age is not None and age > BUSY
+        return age is not None and age > BUSY_AFTER
 
     @property
     def source_now(self) -> int:
@@ -152,7 +152,7 @@ class Health:
         time, or not for long enough."""
         makers = {topic.owner, "robot" if self._simulated else ""} & BY_NAME.keys()
         since = max((self._ready.get(process, math.inf) for process in makers), default=-math.inf)
-        return time.monotonic() - since < WINDOW
+        return time.monotonic() - since < RATE_WINDOW
 
     def topic_row(self, topic: Topic) -> dict[str, Any]:
         """Rate, age and verdict of one topic: `ok` is None where it begins."""

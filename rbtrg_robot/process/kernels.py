@@ -17,11 +17,11 @@ from rbtrg_robot.stages.stage import Stage, WarmsLater, warm
 if TYPE_CHECKING:
     from rbtrg_robot.config import StackConfig
 
-KERNELS = 250
+KERNEL_FILES = 250
 """Files that a start leaves where none was kept, within a tenth: `python -m tools.warm` says so when it is off."""
 INDEX = "*.nbi"
 """Numba's index of one compiled function, written anew with each compilation."""
-SURE = 20
+SURE_KERNELS = 20
 """Kernels after which the remaining time is told."""
 ROOT = Path(__file__).parents[2]
 REST = "kernels"
@@ -54,7 +54,7 @@ class Compiling:
         self._folders = kept_in() if folders is None else folders
         self._began = time.monotonic()
         self._kept = self._files()
-        self.cold = len(self._kept) < KERNELS // 2
+        self.cold = len(self._kept) < KERNEL_FILES // 2
         """Hardly any was kept."""
 
     @property
@@ -69,10 +69,12 @@ class Compiling:
         if not done:
             return ""
         said = f"compiling kernels for this machine, once: {done}"
-        if not self.cold or done >= KERNELS:
+        if not self.cold or done >= KERNEL_FILES:
             return f"{said} so far"
-        left = (time.monotonic() - self._began) * (KERNELS - done) / done
-        return f"{said} of {KERNELS}" + (f", about {5 * math.ceil(left / 5)} s" if done >= SURE else "")
+        left = (time.monotonic() - self._began) * (KERNEL_FILES - done) / done
+        return f"{said} of {KERNEL_FILES}" + (
+            f", about {5 * math.ceil(left / 5)} s" if done >= SURE_KERNELS else ""
+        )
 
     def _files(self) -> dict[Path, int]:
         """When each was written [ns]."""

@@ -12,7 +12,7 @@ import psutil
 log = logging.getLogger(__name__)
 
 SHARED_MEMORY = Path("/dev/shm")
-TAIL = 4096
+TAIL_BYTES = 4096
 """Bytes of a process log in which its last words are looked for."""
 
 
@@ -42,7 +42,7 @@ def last_words(path: Path) -> str:
     """The last line a process wrote."""
     try:
         with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - TAIL))
+            file.seek(max(0, path.stat().st_size - TAIL_BYTES))
             lines = file.read().decode(errors="replace").strip().splitlines()
     except OSError:
         return ""

@@ -24,9 +24,9 @@ from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogContents, LogError,
 from rbtrg_robot.log.write import LogWriter, private
 from rbtrg_robot.process.doctor import examine
 
-SECONDS = 60.0
+LOG_SECONDS = 60.0
 """Length [s] of the piece of the log that is packed."""
-LINES, TAIL = 300, 128 * 1024
+TAIL_LINES, TAIL_BYTES = 300, 128 * 1024
 """Most lines and bytes of each process log."""
 
 
@@ -108,14 +108,14 @@ def _own(path: Path) -> Path:
 
 def _tail(path: Path) -> bytes:
     with _own(path).open("rb") as file:
-        file.seek(max(0, path.stat().st_size - TAIL))
-        return b"".join(file.read().splitlines(keepends=True)[-LINES:])
+        file.seek(max(0, path.stat().st_size - TAIL_BYTES))
+        return b"".join(file.read().splitlines(keepends=True)[-TAIL_LINES:])
 
 
 def _last_of(folder: Path) -> bytes:
     with tempfile.TemporaryDirectory() as scratch:
         target = Path(scratch) / "last.mcap"
-        last_seconds(folder, target, SECONDS)
+        last_seconds(folder, target, LOG_SECONDS)
         return target.read_bytes()
 
 

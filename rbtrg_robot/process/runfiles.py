@@ -18,7 +18,7 @@ from rbtrg_robot.run_folder import run_dir
 log = logging.getLogger(__name__)
 
 CONSOLE_ENTER = "/enter"
-LOOKING = 0.2
+LOOKING_TIME = 0.2
 """Longest time [s] for which the lock may be held by processes that only look."""
 
 
@@ -53,7 +53,7 @@ class RunLock:
         self._state = run_dir() / f"{robot}.json"
         self._console = console_file(robot)
         self._file = (run_dir() / f"{robot}.lock").open("a+")  # kept open: closing it gives the lock away
-        patience = time.monotonic() + LOOKING
+        patience = time.monotonic() + LOOKING_TIME
         while not self._taken():
             # `read_state` of somebody who only looks holds it for microseconds.
             if time.monotonic() > patience:

@@ -10,12 +10,12 @@ from pathlib import Path
 from hal.errors import OperatorError
 from rbtrg_robot.process.child import FATAL
 
-WATCHDOG = 30
+WATCHDOG_TIME = 30
 """[s] without a sign of life of the supervisor's loop. It may wait for a new zygote, whose imports take seconds on a
 busy computer."""
-START = 600
+START_TIME = 600
 """[s] until ready: a cold start compiles the kernels."""
-STOP = 20
+STOP_TIME = 20
 """[s] for the orderly end; it takes about 4 s at most."""
 
 _UNIT = """\
@@ -117,9 +117,9 @@ def unit(robot: str, options: list[str], *, user: bool) -> str:
         user="" if user else _USER.format(user=account(), name=name),
         up=up,
         down=" ".join(map(quoted, [*command, "down", "--robot", robot])),
-        start=START,
-        stop=STOP,
-        watchdog=WATCHDOG,
+        start=START_TIME,
+        stop=STOP_TIME,
+        watchdog=WATCHDOG_TIME,
         fatal=FATAL,
         hardening=_ANYWHERE + ("" if user else _SYSTEM),
         target="default.target" if user else "multi-user.target",

@@ -15,15 +15,15 @@ from rbtrg_robot.process.leftovers import rotate
 from rbtrg_robot.process.zygote import Forked
 from rbtrg_robot.processes import Process
 
-BACKOFF = (0.2, 0.5, 1.0, 2.0, 5.0)
+BACKOFF_TIMES = (0.2, 0.5, 1.0, 2.0, 5.0)
 """Seconds before the n-th restart in a row."""
-SETTLED = 30.0
-"""A process that ran this long [s] starts over in BACKOFF."""
+SETTLED_TIME = 30.0
+"""A process that ran this long [s] starts over in BACKOFF_TIMES."""
 PROCESS_LOG = 5_000_000
 """Bytes after which a process log is rotated: twice that stays on the disk."""
 
 
-BUSY = 5.0
+BUSY_LOAD = 5.0
 """[%]"""
 
 
@@ -35,7 +35,7 @@ class Child:
     forked: Forked | None = None
     started: float = 0.0
     busy: float = 0.0
-    """When it last computed, more than `BUSY` of a core."""
+    """When it last computed, more than `BUSY_LOAD` of a core."""
     restarts: int = 0
     in_a_row: int = 0
     due: float = 0.0
@@ -55,8 +55,8 @@ class Child:
 
     def ended(self, now: float) -> float:
         """It has ended at `now`; returns the seconds after which it is due to be started anew."""
-        self.in_a_row = 0 if now - self.started > SETTLED else self.in_a_row
-        wait = BACKOFF[min(self.in_a_row, len(BACKOFF) - 1)]
+        self.in_a_row = 0 if now - self.started > SETTLED_TIME else self.in_a_row
+        wait = BACKOFF_TIMES[min(self.in_a_row, len(BACKOFF_TIMES) - 1)]
         self.in_a_row += 1
         self.restarts += 1
         self.due = now + wait
@@ -69,7 +69,7 @@ class Child:
         if self.alive and self.usage is not None:
             try:
                 self.cpu = self.usage.cpu_percent()
-                if self.cpu > BUSY:
+                if self.cpu > BUSY_LOAD:
                     self.busy = time.monotonic()
                 self.memory = self.usage.memory_info().rss / 1e6
             except psutil.Error:

@@ -37,7 +37,7 @@ from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
-from rbtrg_robot.process.supervised import BACKOFF, Child, end
+from rbtrg_robot.process.supervised import BACKOFF_TIMES, Child, end
 from rbtrg_robot.process.zygote import Forked, Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
@@ -54,14 +54,14 @@ gets longer: until it has been idle for so long, or has taken so long in all."""
 HELD_UP = 2.0
 """A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), so what it has heard is
 old, and after the lease sessions with its router have ended."""
-REJOIN = 6.0
+REJOIN_TIME = 6.0
 """[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended
 for silence."""
 PLANNER = "planner"
 COMPILES = (PLANNER, "elevation", "odometry", "guard", "robot")
 """Processes that compile kernels at a first start: the longest first, the robot last, for it waits for the others then.
 """
-ASKED = 64
+MOST_ASKED = 64
 """Most questions that wait for an answer; of more the oldest get none."""
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
@@ -86,7 +86,7 @@ class Supervisor:
         self._stack = stack_id()
         self._health = Health(config.simulated, self._clock, lidars)
         self._kept: dict[Topic, bytes] = {}
-        self._asked: deque[tuple[str, Reply]] = deque(maxlen=ASKED)
+        self._asked: deque[tuple[str, Reply]] = deque(maxlen=MOST_ASKED)
         """Questions of others, not yet answered."""
         self._ready = False
         self._lacks = ""
@@ -327,12 +327,12 @@ class Supervisor:
                 raise
             if str(error) != child.words:
                 self._process(f"{child.row.name} cannot be started ({one_line(error)}); trying again")
-            child.words, child.due = str(error), time.monotonic() + BACKOFF[-1]
+            child.words, child.due = str(error), time.monotonic() + BACKOFF_TIMES[-1]
 
     def _mend(self) -> None:
         now = time.monotonic()
         if now - self._looked > HELD_UP:
-            self._deaf_until = now + REJOIN
+            self._deaf_until = now + REJOIN_TIME
             self._process(f"the supervisor was held up for {now - self._looked:.1f} s")
         self._looked = now
         if not self._ready:

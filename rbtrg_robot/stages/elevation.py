@@ -62,7 +62,7 @@ SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
 STATUS_PERIOD = 500_000_000
 """[ns]"""
-COST = 10.0
+COST_REACH = 10.0
 """[m] Half width of the ground around the robot of which `MAP_COST` tells."""
 
 
@@ -255,7 +255,7 @@ class ElevationStage:
         """See `Shows`: what the ground around the robot costs; nothing before there is any."""
         if (place := self._course.place) is None or self._limits is None:
             return []
-        ground = self.map.window(place[0], place[1], COST)
+        ground = self.map.window(place[0], place[1], COST_REACH)
         return [(t.MAP_COST, cost_msg(ground.stamp, traversal_cost(ground.grid(), self._limits), ground))]
 
     def _locate(

@@ -13,7 +13,7 @@ from hal.limbs import Limbs
 from hal.robots import Body
 from hal.safety import monitors
 from hal.safety.gate_types import MotionLimits
-from hal.safety.touch import FACE, Touch, TouchWatch
+from hal.safety.touch import FACE_HEIGHT, Touch, TouchWatch
 from hal.types import NS, ImuSample, JointSample, VelocityCommand
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -78,7 +78,7 @@ class Feeling:
 
     def may_climb(self, vx: float) -> bool:
         """Whether the map has a face that a wheel may be lifted onto."""
-        return self._uneven(vx) > FACE
+        return self._uneven(vx) > FACE_HEIGHT
 
     def limits(self, now: int) -> MotionLimits | None:
         """The guard's, and no motion but away from what was just touched."""

@@ -23,12 +23,12 @@ from hal.safety.monitors import GUARD_BLIND, HOLE_WIDTH, MAIN_SILENT
 from hal.safety.swept import (
     BODY_CLEARANCE,
     HOLE,
+    LEAST_POINTS,
     LIDAR,
     NO_WALL,
     PLANTS,
-    POINTS,
-    SPACING,
     TOUCHED,
+    TRACK_SPACING,
     WHEELS,
     Body,
     Reach,
@@ -48,7 +48,7 @@ from mapping.filling import fill_unknown
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.stage_config import FAR, GuardConfig
+from rbtrg_robot.stage_config import GUARD_RANGE, GuardConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -64,18 +64,18 @@ from rbtrg_robot.wire.convert import (
 from rbtrg_robot.wire.frames import MapFrame, Planar
 from rbtrg_robot.wire.messages import header, stamp_of
 
-AROUND = 2.0
+POINTS_AROUND = 2.0
 """[m] from base_link: points of a sweep beyond are of no interest."""
-CREEPING, TURNING = 0.2, 0.3
+CREEP_SPEED, CREEP_TURN = 0.2, 0.3
 """[m/s], [rad/s] along a wall that the body touches."""
-LEANS = math.radians(25.0)
+MOST_LEAN = math.radians(25.0)
 """[rad] A robot that leans by more than this goes nowhere along a wall: one that was let go on at 30 deg came to 40 to
 50 deg in each of six drives."""
-LEAVES = (0.2, 0.5)
+LEAF_SPEEDS = (0.2, 0.5)
 """[m/s] and [rad/s] of a turn, 0.2 m/s at a corner of the body, over ground under leaves: what stands in them is felt,
 not seen."""
 NO_POINTS = np.zeros((0, 3), np.float32)
-STANDS = 0.05
+STANDING_HEIGHT = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
 WORDS = {
     1: "a {:.2f} m face",
@@ -134,8 +134,8 @@ class GuardStage:
         p = params
         around = robot.max_wz * p.reaction + robot.max_wz**2 / (2 * robot.max_alpha) + self._turn_margin
         ways: tuple[tuple[str, Callable[[Body, Body | None], Array], float], ...] = (
-            ("ahead", partial(straight_tracks, FAR, 1.0), SPACING),
-            ("behind", partial(straight_tracks, FAR, -1.0), SPACING),
+            ("ahead", partial(straight_tracks, GUARD_RANGE, 1.0), TRACK_SPACING),
+            ("behind", partial(straight_tracks, GUARD_RANGE, -1.0), TRACK_SPACING),
             ("to the left", partial(turn_tracks, around, 1.0), turn_step(self._body)),
             ("to the right", partial(turn_tracks, around, -1.0), turn_step(self._body)),
         )
@@ -144,7 +144,7 @@ class GuardStage:
     @property
     def _turn_margin(self) -> float:
         """[rad] that keeps the corners of the body `margin` away."""
-        return self._params.margin * turn_step(self._body) / SPACING
+        return self._params.margin * turn_step(self._body) / TRACK_SPACING
 
     def warm_up(self) -> None:
         """Compile the kernels."""
@@ -234,8 +234,8 @@ class GuardStage:
             patch.origin,
             patch.resolution,
         )
-        lowest = np.float32(self._robot.max_step + STANDS)
-        leaves = upper - height + np.float32(STANDS)
+        lowest = np.float32(self._robot.max_step + STANDING_HEIGHT)
+        leaves = upper - height + np.float32(STANDING_HEIGHT)
         self._lowest = np.where(source == PLANTS, np.maximum(leaves, lowest), lowest)
         self._stamp = patch.stamp
         self._laid = False
@@ -258,7 +258,7 @@ class GuardStage:
         clouds = self._clouds[newest]
         points = clouds.get(t.CLOUD, NO_POINTS) if main else np.concatenate([NO_POINTS, *clouds.values()])
         x, y = points[:, 0], points[:, 1]
-        near = points[np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < AROUND)].astype(np.float64)
+        near = points[np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < POINTS_AROUND)].astype(np.float64)
         pose = self._odoms[newest].pose.pose
         position, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
         place = position + np.array([0.0, 0.0, self._correction])
@@ -272,7 +272,7 @@ class GuardStage:
         lowest: NDArray[np.float32],
     ) -> None:
         origin, resolution = around.origin, around.resolution
-        occupy(points, ground, *origin, resolution, lowest, BODY_CLEARANCE, POINTS, around.occupied)
+        occupy(points, ground, *origin, resolution, lowest, BODY_CLEARANCE, LEAST_POINTS, around.occupied)
 
     def tick(self, now: int) -> Outputs:
         """The limits of now."""
@@ -293,9 +293,10 @@ class GuardStage:
             for k, (_, _, whole, step) in enumerate(self._ways)
         ]
         held = any(
-            self._speed(r, turning=k > 1) < (TURNING if k > 1 else CREEPING) for k, r in enumerate(reaches)
+            self._speed(r, turning=k > 1) < (CREEP_TURN if k > 1 else CREEP_SPEED)
+            for k, r in enumerate(reaches)
         )
-        upright = turned[2, 2] >= math.cos(LEANS)
+        upright = turned[2, 2] >= math.cos(MOST_LEAN)
         contact = contact_at(self._around, here, stand, self._robot) if held and upright else None
         speeds, words = [], [slow_by_sight] if slow_by_sight else []
         for k, (where, tracks, whole, step) in enumerate(self._ways):
@@ -304,7 +305,7 @@ class GuardStage:
             speed = min(self._speed(reach, turning=turning), most)
             free = f"{math.degrees(reach.free):.0f} deg" if turning else f"{reach.free:.2f} m"
             why = f"{WORDS[reach.kind].format(reach.height)} {free} {where}" if speed < most else ""
-            creeping = TURNING if turning else CREEPING
+            creeping = CREEP_TURN if turning else CREEP_SPEED
             if contact is not None and speed < creeping:
                 # Beside a wall it is as straight as a cell of the map lets it be.
                 body = contact.body if turning else contact.between(self._around.resolution)
@@ -322,7 +323,7 @@ class GuardStage:
                 if slow > speed:
                     speed, why = slow, f"a wall that the body touches {where}"
             leaves = leaves_on(whole, step, self._around, here, self._body)
-            slow = max(LEAVES[turning], self._stops_in(leaves, turning=turning))
+            slow = max(LEAF_SPEEDS[turning], self._stops_in(leaves, turning=turning))
             if slow < speed:
                 speed, why = slow, f"grass {where}"
             speeds.append(min(speed, creeping) if slow_by_sight else speed)

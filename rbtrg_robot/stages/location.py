@@ -20,17 +20,17 @@ from rbtrg_robot.stages.navigation.reasons import LOCATED
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
 from rbtrg_robot.wire.frames import MapFrame, Planar, laid, near, offset_of, stands
 
-LOOK = 10
+LOOK_SCANS = 10
 """Scans of a look: one second, in which the rings of a LiDAR that stands do not move."""
-WAY = 0.7
+LOOK_SPACING = 0.7
 """From one look to the next [m]."""
-LOOKS = 6
+KEPT_LOOKS = 6
 """After so many the first ones are forgotten: odometry drifts."""
-SAME = 0.011
+SAME_OFFSET = 0.011
 """Offsets that differ by less [m, rad] are one: the odometry takes none that is nearer."""
-ARRIVED = 1e-6
+GLIDE_ARRIVED = 1e-6
 """The same of one that glides: it ends where it is to."""
-LISTED = 3
+LISTED_CANDIDATES = 3
 """Candidates that are named."""
 
 
@@ -135,23 +135,23 @@ class Location:
         position = xyz(odom.pose.pose.position)
         if not stands(odom):
             return
-        if self._looked is None or math.dist(position[:2], self._looked) > WAY:
-            if self._submap.stands >= LOOKS:
+        if self._looked is None or math.dist(position[:2], self._looked) > LOOK_SPACING:
+            if self._submap.stands >= KEPT_LOOKS:
                 self._submap = Submap()
             self._submap.stand()
             self._looked = position[:2]
-        elif self._submap.scans >= LOOK:
+        elif self._submap.scans >= LOOK_SCANS:
             return  # it has been decided from here
         for sensor, points in clouds:
             self._submap.add(points, position, xyzw(odom.pose.pose.orientation), sensor.origin, below)
-        if self._submap.scans >= LOOK:
+        if self._submap.scans >= LOOK_SCANS:
             self._decide(odom)
 
     def settle(self, frame: MapFrame) -> bool:
         """Whether the frames have come to what was found just now, or is being closed."""
         if self.state not in (State.FOUND, State.CLOSING) or self.offset is None:
             return False
-        within = SAME if self.state is State.FOUND else ARRIVED
+        within = SAME_OFFSET if self.state is State.FOUND else GLIDE_ARRIVED
         if not near(self.offset, frame.offset, (within, within)):
             return False
         self._say(
@@ -188,7 +188,7 @@ class Location:
                 "the configuration says",
             )
         elif verdict.answer == "ambiguous":
-            places = " and ".join(_words(c) for c in verdict.candidates[:LISTED])
+            places = " and ".join(_words(c) for c in verdict.candidates[:LISTED_CANDIDATES])
             self._say(State.AMBIGUOUS, f"ambiguous in {self._name} between {places}")
         else:
             self._say(State.NOT_FOUND, f"not found in {self._name}")

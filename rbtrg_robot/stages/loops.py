@@ -26,9 +26,9 @@ from rbtrg_robot.wire.frames import closed_map
 
 AT_ONCE = 5
 """Scans that are fused in a tick."""
-AGAIN, LIMIT = 3 * NS, 15 * NS
+SEND_AGAIN, SEND_LIMIT = 3 * NS, 15 * NS
 """A map is sent anew so long after, and given up when nobody has taken it for so long [ns]."""
-NEAR = 1.0
+NEAR_ORIGIN = 1.0
 """Odometry that begins further from its origin [m] began before this process: the map holds what it never saw."""
 
 
@@ -125,9 +125,9 @@ class LoopStage:
             self._made, self._nodes = None, nodes
         elif self._status.location == "closing":
             self._since = now
-        elif now - self._since > LIMIT:
+        elif now - self._since > SEND_LIMIT:
             self._made = None
-        elif now - self._sent > AGAIN:
+        elif now - self._sent > SEND_AGAIN:
             self._sent = now
             return [(t.MAP_CLOSED, prior)]
         return []
@@ -136,7 +136,7 @@ class LoopStage:
         """All there is to do, without end."""
         while not recording.scans:
             yield
-        if not self._anew and math.hypot(*recording.scans[0].pose[:2, 3]) > NEAR:
+        if not self._anew and math.hypot(*recording.scans[0].pose[:2, 3]) > NEAR_ORIGIN:
             while True:
                 yield
         settings = self._config.loops

@@ -51,11 +51,11 @@ from rbtrg_robot.wire.messages import array, header, stamp_of
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""
-SAME = 0.01
+SAME_POSE = 0.01
 """A pose that differs less [m, rad] from the present one is a repeat."""
 STANDS_FOR = 2 * NS
 """A robot that stands so long [ns] is moved in `map` at once: its driver holds no path that it would lose."""
-LATEST = 0.5
+LONGEST_GLIDE = 0.5
 """Between two scans no more is glided than in this time [s]."""
 NOTHING = np.empty((0, 3), np.float32)
 
@@ -216,7 +216,7 @@ class OdometryStage:
         odom = self._odom
         if odom is None or not _possible((x, y, turn)) or not stands(odom):
             return []
-        if not near((x, y, turn), self._start, (SAME, SAME)):
+        if not near((x, y, turn), self._start, (SAME_POSE, SAME_POSE)):
             self._told = self._place_sigma
             self._start = (x, y, turn)  # otherwise a repeat: the frames stay, and are told again
         return [(t.TF_STATIC, self._frames(stamp_of(odom)))]
@@ -231,7 +231,7 @@ class OdometryStage:
         if self._stood and now - self._stood >= STANDS_FOR:
             self._start = self._target
         else:
-            seconds = min(max(now - stamp_of(before), 0) / NS, LATEST)
+            seconds = min(max(now - stamp_of(before), 0) / NS, LONGEST_GLIDE)
             place = here.position.x, here.position.y, yaw_of(here.orientation)
             self._start = glide(self._start, self._target, place, seconds)
         self._told = self._place_sigma

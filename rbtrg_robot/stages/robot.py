@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.contract import UP, Backend
-from hal.limbs import WHEELS
+from hal.limbs import WHEEL_JOINTS
 from hal.lowlevel import Sighted
 from hal.robots import Robot, describe
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate
@@ -327,7 +327,7 @@ class RobotStage:
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
-            self._rolls = float(sample.velocity[WHEELS].mean()) * self._radius
+            self._rolls = float(sample.velocity[WHEEL_JOINTS].mean()) * self._radius
             # Where the wheels feel an edge their reflex moves the robot, not the command.
             reflex = self.backend.state().cause.startswith(FELT_EDGE)
             driven = VelocityCommand(self.now) if reflex else self._driven

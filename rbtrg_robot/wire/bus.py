@@ -68,9 +68,9 @@ class Received(Generic[M]):
         return messages.decode(self.payload, self.topic.kind)
 
 
-INTRUSION = 5.0
+INTRUSION_TIME = 5.0
 """[s] for which a stranger is told after the last message that was refused."""
-NAMED, NAME = 3, 40
+MOST_NAMED, LONGEST_NAME = 3, 40
 """Most strangers that are named, and most letters of a name: anybody chooses these."""
 
 
@@ -265,7 +265,7 @@ class Bus(Refusals):
         Asked again and again: who it is comes from liveliness tokens, which nobody looks at before there is a reason
         to.
         """
-        since = time.monotonic() - INTRUSION
+        since = time.monotonic() - INTRUSION_TIME
         topics = [topic for topic, newest in self._intruded.copy().items() if newest > since]
         if not topics:
             return ""
@@ -283,13 +283,13 @@ class Bus(Refusals):
             name = self.scope.topic(topic.name)
             who = sorted(
                 {
-                    f"{node[:NAME]} (session {wire.session_of(k)[:NAME]})"
+                    f"{node[:LONGEST_NAME]} (session {wire.session_of(k)[:LONGEST_NAME]})"
                     for k, (node, on) in known
                     if on == name
                 }
             )
             if who:
-                self._named[topic] = ", ".join(who[:NAMED])
+                self._named[topic] = ", ".join(who[:MOST_NAMED])
             named = self._named.get(topic, "a program that has left or tells no name")
             told.append(STRANGER.tell(topic=name, who=named, owner=topic.owner))
         return "; ".join(told)

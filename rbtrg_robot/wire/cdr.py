@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 
 HEADER = b"\0\1\0\0"
 """Plain CDR, little-endian."""
-LONGEST = 2**30
+LONGEST_LIST = 2**30
 """Values of a list; more is taken for broken bytes."""
 _CODES = {
     "bool": "?", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
@@ -201,7 +201,7 @@ class _Source:
         n = self._fixed("I", 4, f"len({path})")
         self._end_run()
         self.read += [
-            f"if pos + {n} * {least} > len(data) or {n} > {LONGEST}:",
+            f"if pos + {n} * {least} > len(data) or {n} > {LONGEST_LIST}:",
             f"    raise SerdeError(f'no list of {{{n}}} at {{pos}}')",
         ]
         return n

@@ -22,10 +22,10 @@ from rbtrg_robot.wire.messages import time_msg
 Planar = tuple[float, float, float]
 """x, y [m], yaw [rad]."""
 
-GLIDE = (0.02, math.radians(0.1))
+GLIDE_SPEEDS = (0.02, math.radians(0.1))
 """How fast the robot, the origin of `odom` [m/s] and the heading [rad/s] move in `map` while its loops are closed as
 the robot drives: in a second less than a cell, up to 10 m away. The map and its readers keep up with that."""
-JUMP = (0.05, math.radians(0.25))
+LEAST_JUMP = (0.05, math.radians(0.25))
 """An offset that differs by less [m], [rad] from the one before is a piece of a glide, even if some were not heard."""
 
 
@@ -49,7 +49,7 @@ class MapFrame:
                 if all(map(math.isfinite, (offset.x, offset.y, offset.z, yaw))):
                     self.x, self.y, self.z, self.yaw = offset.x, offset.y, offset.z, yaw
                     self.known = True
-        return before is not None and not near(before, self.offset, JUMP)
+        return before is not None and not near(before, self.offset, LEAST_JUMP)
 
     @property
     def offset(self) -> Planar:
@@ -85,12 +85,12 @@ def near(a: Planar, b: Planar, within: tuple[float, float]) -> bool:
 
 
 def glide(offset: Planar, target: Planar, place: Planar, seconds: float) -> Planar:
-    """The offset of `odom` in `map` so many `seconds` later on its way to `target`, by `GLIDE`. place: the robot's in
-    `odom`."""
+    """The offset of `odom` in `map` so many `seconds` later on its way to `target`, by `GLIDE_SPEEDS`. place: the
+    robot's in `odom`."""
     here, there = laid(offset, place), laid(target, place)
     turn = wrap(target[2] - offset[2])
     moves = max(math.dist(here[:2], there[:2]), math.dist(offset[:2], target[:2]))
-    needs = max(moves / GLIDE[0], abs(turn) / GLIDE[1])
+    needs = max(moves / GLIDE_SPEEDS[0], abs(turn) / GLIDE_SPEEDS[1])
     if needs <= seconds:
         return target
     share = seconds / needs
@@ -111,14 +111,17 @@ def offset_between(place: Planar, here: Planar) -> Planar:
     return place[0] - c * here[0] + s * here[1], place[1] - s * here[0] - c * here[1], turn
 
 
-STANDING = (0.05, 0.1)
+STANDING_SPEEDS = (0.05, 0.1)
 """Speed [m/s] and yaw rate [rad/s] below which a robot stands."""
 
 
 def stands(odom: Odometry) -> bool:
     """By a nav_msgs/Odometry."""
     twist = odom.twist.twist
-    return math.hypot(twist.linear.x, twist.linear.y) < STANDING[0] and abs(twist.angular.z) < STANDING[1]
+    return (
+        math.hypot(twist.linear.x, twist.linear.y) < STANDING_SPEEDS[0]
+        and abs(twist.angular.z) < STANDING_SPEEDS[1]
+    )
 
 
 def closed_map(prior: msg.MapPrior, there: Array, here: Array, higher: float, until: int) -> msg.MapPrior:

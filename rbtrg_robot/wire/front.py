@@ -17,19 +17,19 @@ from typing import Any
 
 from rbtrg_robot.crowd import CrowdedSocket
 
-DOORS = 96
+DOOR_COUNT = 96
 """Ports of Zenoh."""
-REST = 0.12
+REST_TIME = 0.12
 """[s] after a failed handshake in which nobody else is sent to a port: about 800 of them a second close all."""
-STRANGERS, GUESTS = 100, 160
+MOST_STRANGERS, MOST_GUESTS = 100, 160
 """Largest number of connections before and after the handshake. Before it the oldest gives way to a newer one. Each
 takes three of the 1024 open files of a process."""
-HELD = 1 << 20
+HELD_BYTES = 1 << 20
 """Bytes on their way to one who reads slowly before the other end is not read any more."""
 HANDSHAKE, CLIENT_HELLO = 22, 1
-LARGEST = 16_384 + 5
+LARGEST_RECORD = 16_384 + 5
 """Bytes of a record of TLS (RFC 8446, 5.1)."""
-INSIDE = 3
+INSIDE_TURNS = 3
 """Turns that a visitor must speak with Zenoh before it counts as inside: ClientHello, certificate, and what only a
 session says."""
 
@@ -41,7 +41,7 @@ def greets(data: bytes) -> bool | None:
     if len(data) < 6:
         return None
     size = 5 + int.from_bytes(data[3:5], "big")
-    return False if size > LARGEST else len(data) >= size or None
+    return False if size > LARGEST_RECORD else len(data) >= size or None
 
 
 def hold_port(port: int = 0) -> socket.socket:
@@ -75,13 +75,13 @@ class Front:
         try:
             for endpoint in listen:
                 host, _, port = endpoint.partition("/")[2].rpartition(":")
-                limits = {"strangers": STRANGERS, "guests": GUESTS}
+                limits = {"strangers": MOST_STRANGERS, "guests": MOST_GUESTS}
                 door = CrowdedSocket(
                     host.strip("[]"), int(port), **limits, asks=lambda data: bool(greets(data))
                 )
                 self._sockets.append(door)
             self._held.append(hold_port(inner))
-            while len(self._held) <= DOORS:
+            while len(self._held) <= DOOR_COUNT:
                 self._held.append(hold_port())
         except OSError:
             self.close()
@@ -148,7 +148,7 @@ class Doors:
 
     def failed(self, port: int) -> None:
         """A handshake there has failed, or may fail at once."""
-        self._rests[port] = self.loop.time() + REST
+        self._rests[port] = self.loop.time() + REST_TIME
 
 
 class End(asyncio.Protocol):
@@ -160,7 +160,7 @@ class End(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = transport
-        self.transport.set_write_buffer_limits(HELD)
+        self.transport.set_write_buffer_limits(HELD_BYTES)
 
     def data_received(self, data: bytes) -> None:
         if self.other is not None:
@@ -208,7 +208,7 @@ class Visitor(End):
         self._door = 0
         self._said = b""
         self._spoke = 0
-        """How often in turn with Zenoh; INSIDE: no stranger any more."""
+        """How often in turn with Zenoh; INSIDE_TURNS: no stranger any more."""
         self._listens = True
         self._joining: asyncio.Task[None] | None = None
 
@@ -218,7 +218,7 @@ class Visitor(End):
 
     def connection_lost(self, error: Exception | None) -> None:
         self._inside.discard(self)
-        if self._door and self._spoke < INSIDE:
+        if self._door and self._spoke < INSIDE_TURNS:
             self._doors.failed(self._door)
         if self._joining is not None:
             self._joining.cancel()
@@ -229,10 +229,12 @@ class Visitor(End):
         self._listens = True
 
     def data_received(self, data: bytes) -> None:
-        if self._listens and self._spoke < INSIDE:
+        if self._listens and self._spoke < INSIDE_TURNS:
             self._listens = False
             self._spoke += 1
-            if self._spoke == INSIDE and not self._crowd.admit(self.transport.get_extra_info("peername")[:2]):
+            if self._spoke == INSIDE_TURNS and not self._crowd.admit(
+                self.transport.get_extra_info("peername")[:2]
+            ):
                 self.leave()
                 return
         if self.other is not None:
@@ -240,7 +242,7 @@ class Visitor(End):
             return
         self._said += data
         greeting = greets(self._said)
-        if greeting is False or len(self._said) > 2 * LARGEST:
+        if greeting is False or len(self._said) > 2 * LARGEST_RECORD:
             self.leave()
         elif greeting and self._joining is None:  # it is read on meanwhile, or its end would not be noticed
             self._joining = self._doors.loop.create_task(self._join())

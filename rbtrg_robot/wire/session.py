@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-MOST = 100_000
+MOST_CONNECTIONS = 100_000
 """Connections that a router takes, before and after identification. Zenoh counts all ports together. With its own
 limits of 100 and 1000, anybody whose certificate the authority once signed, on the list or not, keeps the robot's own
 processes out."""
@@ -90,7 +90,10 @@ def session_config(
             config["access_control"] = security.access_control
     config["listen" if router else "connect"] = {"endpoints": endpoints}
     if router:
-        config["transport"]["unicast"] = {"accept_pending": MOST, "max_sessions": MOST}
+        config["transport"]["unicast"] = {
+            "accept_pending": MOST_CONNECTIONS,
+            "max_sessions": MOST_CONNECTIONS,
+        }
     else:
         config["connect"]["timeout_ms"] = 3000
         config["listen"] = {"endpoints": []}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hal.contract import Backend, BackendError
-from hal.limbs import WHEELS
+from hal.limbs import WHEEL_JOINTS
 from hal.robots import Robot, describe
 from hal.robots.go2w.facts import JOINT_RANGE
 from hal.types import (
@@ -81,7 +81,7 @@ class Rig:
         robot on feet the simulator's truth."""
         if self.robot.wheeled:
             joints = of(samples, JointSample)
-            turned = joints[-1].position[WHEELS] - joints[0].position[WHEELS]
+            turned = joints[-1].position[WHEEL_JOINTS] - joints[0].position[WHEEL_JOINTS]
             return float(np.mean(turned)) * self.robot.limbs.radius
         if self._x is not None:
             stamps, x = zip(*self._been, strict=True)
@@ -264,7 +264,7 @@ class ContractSuite:
         rig.run(4.0)
         joints = of(rig.run(0.5, vx=0.4), JointSample)
         assert (joints[-1].position[2:12:3] < -2.2).all() or not self.legs, "knees are folded"
-        assert np.abs(joints[-1].velocity[WHEELS]).max() < 0.5, "a seated robot does not drive"
+        assert np.abs(joints[-1].velocity[WHEEL_JOINTS]).max() < 0.5, "a seated robot does not drive"
         rig.backend.request(ModeRequest.STAND)
         rig.until(Phase.STANDING, Phase.READY, seconds=10.0)
         rig.until(Phase.READY, seconds=20.0)
@@ -276,7 +276,7 @@ class ContractSuite:
         rig.until(Phase.DAMPED, seconds=2.0)
         rig.run(2.0, vx=0.4)
         assert rig.backend.state().phase is Phase.DAMPED
-        assert np.abs(of(rig.run(0.5, vx=0.4), JointSample)[-1].velocity[WHEELS]).max() < 0.5
+        assert np.abs(of(rig.run(0.5, vx=0.4), JointSample)[-1].velocity[WHEEL_JOINTS]).max() < 0.5
         rig.backend.request(ModeRequest.STAND)
         rig.until(Phase.READY, seconds=20.0)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rbtrg_robot.crowd import RUSH, CrowdedSocket
+from rbtrg_robot.crowd import RUSH_COUNT, CrowdedSocket
 
 
 class Visitor:
@@ -107,6 +107,6 @@ def test_in_a_flood_who_asks_for_nothing_is_not_let_in(held: contextlib.ExitStac
         return found
 
     assert len(come(b"", 20)) == 20, "no flood"
-    assert len(come(b"sto", RUSH + 60)) == RUSH
+    assert len(come(b"sto", RUSH_COUNT + 60)) == RUSH_COUNT
     assert len(come(b"", 20)) == 20, "it is over"
-    assert len(come(b"stop", RUSH + 60)) == RUSH + 60
+    assert len(come(b"stop", RUSH_COUNT + 60)) == RUSH_COUNT + 60

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rbtrg_robot.yaml_file import LARGEST, YamlError, parse, read
+from rbtrg_robot.yaml_file import LARGEST_FILE, YamlError, parse, read
 
 BOMB = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 10)}]\n"
@@ -32,7 +32,7 @@ def test_plain_values_and_a_few_aliases_are_read() -> None:
         (BOMB, "aliases"),
         ("&a [*a]", "aliases"),
         (b"\xff\x00", "byte"),
-        ("x" * (LARGEST + 1), "bytes"),
+        ("x" * (LARGEST_FILE + 1), "bytes"),
     ],
 )
 def test_what_is_no_yaml_or_too_much_of_it_is_one_line(text: str | bytes, words: str) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hal.robots import DEFAULT, describe
 from hal.scenes import load_scene
-from hal.scenes.barn import GOAL, START, grid_of, shortest_way
+from hal.scenes.barn import GOAL_POSE, START_POSE, grid_of, shortest_way
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -87,13 +87,13 @@ def drive(robot: str, name: str) -> dict[str, Any]:
     )
     least = shortest_way(grid_of(load_scene(name)))
     if not math.isfinite(least):
-        least = math.dist(START[:2], GOAL[:2])
+        least = math.dist(START_POSE[:2], GOAL_POSE[:2])
     touched, way = False, 0.0
     with Lockstep(config) as stack:
         stack.wait_ready()
         sim = stack.robot.backend.simulation  # type: ignore[attr-defined]
         began, last = stack.seconds, sim.position
-        stack.send_goal(*GOAL, timeout=LONGEST_DRIVE, accept_risk=True)
+        stack.send_goal(*GOAL_POSE, timeout=LONGEST_DRIVE, accept_risk=True)
         while stack.seconds - began < LONGEST_DRIVE:
             stack.run(0.05)
             contacts = sim.contacts()
@@ -109,7 +109,7 @@ def drive(robot: str, name: str) -> dict[str, Any]:
             if status is not None and GoalState(status.state).terminal:
                 break
         took = stack.seconds - began
-    away = math.dist(last[:2], GOAL[:2])
+    away = math.dist(last[:2], GOAL_POSE[:2])
     reached = status is not None and status.state == "reached" and away < GOAL_RADIUS
     best = least / CHALLENGE_SPEED
     metric = best / min(max(took, 2.0 * best), 8.0 * best) if reached and not touched else 0.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.mujoco.attitude import GAIN
+from hal.mujoco.attitude import FILTER_GAIN
 from hal.robots.go2w import facts as go2w
-from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
+from hal.robots.go2w.locomotion.hybrid import ONWARD_SPEED, TURN_MOST
 from hal.robots.go2w.locomotion.layout import Layout
-from hal.robots.go2w.locomotion.rlsar import FRAME
+from hal.robots.go2w.locomotion.rlsar import FRAME_LENGTH
 from hal.types import GRAVITY, Array
 from tools.bench.envelope.trial import TIPPED_COSINE, steering
 from tools.train.physics import QPOS, QVEL, Robots
@@ -19,7 +19,7 @@ from tools.train.settings import DESCRIPTION, PARAMS, PERIOD, Reward, Settings
 from tools.train.terrain import DEALT_KINDS, KINDS, LANE_LENGTH, LEVEL_BEFORE, LEVEL_COUNT, OPEN
 
 AGES = PARAMS.ages
-SEEN = FRAME * len(AGES)
+SEEN = FRAME_LENGTH * len(AGES)
 """Numbers that the policy sees."""
 SCAN_PLACES = np.stack(np.meshgrid(np.linspace(-0.5, 0.9, 11), np.linspace(-0.4, 0.4, 5)), axis=-1).reshape(
     -1, 2
@@ -137,7 +137,7 @@ class Environment:
         self._age = np.zeros(n, int)
         self._lean = np.zeros((n, 2))
         """Error of the attitude that the robot's IMU tells: its vertical less the true one, x and y of the world."""
-        self._frames = np.zeros((AGES[-1] + 1, n, FRAME), np.float32)
+        self._frames = np.zeros((AGES[-1] + 1, n, FRAME_LENGTH), np.float32)
         self._newest = 0
         self._fresh = np.ones(n, bool)
         self._last = round(settings.episode / PERIOD)
@@ -219,7 +219,9 @@ class Environment:
         self.action = np.clip(output, self.layout.lower, self.layout.upper)
         speed = self.robots.state[:, 24:27].copy()
         broken = self.robots.step(self.action)
-        self._lean += GAIN * PERIOD * (felt((self.robots.state[:, 24:27] - speed) / PERIOD) - self._lean)
+        self._lean += (
+            FILTER_GAIN * PERIOD * (felt((self.robots.state[:, 24:27] - speed) / PERIOD) - self._lean)
+        )
         self._age += 1
         b, s = self.body(), self.robots.state
         along = np.maximum(np.abs(np.cos(b.yaw)), 0.3)  # a detour does not lead along the lane
@@ -305,7 +307,7 @@ class Environment:
         begins = np.flatnonzero(due & lanes & (self._left == 0.0))
         k = len(begins)
         cruise = self._cruise[begins]
-        slow = np.sign(cruise) * rng.uniform(ONWARD, np.maximum(np.abs(cruise), ONWARD))
+        slow = np.sign(cruise) * rng.uniform(ONWARD_SPEED, np.maximum(np.abs(cruise), ONWARD_SPEED))
         self._detour[begins, 0] = np.where(rng.random(k) < 0.2, 0.0, slow)
         self._detour[begins, 1] = rng.uniform(-TURN_MOST, TURN_MOST, k) * (rng.random(k) < 0.7)
         self._left[begins] = rng.uniform(*DETOUR_TIME, k)

@@ -17,7 +17,7 @@ from hal.mujoco.attitude import AttitudeFilter
 from hal.mujoco.sim import Simulation
 from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.layout import Layout
-from hal.robots.go2w.locomotion.rlsar import FRAME
+from hal.robots.go2w.locomotion.rlsar import FRAME_LENGTH
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
@@ -97,7 +97,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         attitude.measure(state)
         shown = teacher.step(state, VelocityCommand(0, wish[0], 0.0, wish[1]), PostureCommand(0))
         if tick % PARAMS.decimation == 0:
-            frame, output = np.empty(FRAME, np.float32), as_output(layout, state, shown)
+            frame, output = np.empty(FRAME_LENGTH, np.float32), as_output(layout, state, shown)
             up: Array = np.array(up_of(state.quaternion))
             layout.frame(state.gyro, up, np.array([wish[0], 0.0, wish[1]]), state.q, state.dq, last, frame)
             frames.append(frame)

@@ -22,7 +22,7 @@ from PIL import Image
 from hal.errors import OperatorError
 from hal.limbs import MOTORS
 from hal.mujoco.config import Obstacle
-from hal.mujoco.model import HIDDEN, build
+from hal.mujoco.model import HIDDEN_PLACE, build
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.view.video import Frame, write_mp4
 from hal.robots import Robot, describe
@@ -212,7 +212,7 @@ class Canvas:
         self.data.qpos[self._address] = pose[self._has]
         for index, obstacle in enumerate(obstacles):
             box = box_at(obstacle, time)
-            self.data.mocap_pos[index] = box.centre if present(obstacle, time) else HIDDEN
+            self.data.mocap_pos[index] = box.centre if present(obstacle, time) else HIDDEN_PLACE
             self.data.mocap_quat[index] = np.cos(box.yaw / 2), 0.0, 0.0, np.sin(box.yaw / 2)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)

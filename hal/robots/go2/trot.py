@@ -15,54 +15,54 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.limbs import MOTORS, SX, SY, Limbs, wheel_centres, wheel_jacobians
+from hal.limbs import MOTORS, SIGN_X, SIGN_Y, Limbs, wheel_centres, wheel_jacobians
 from hal.lowlevel import LowCommand, LowState
 from hal.rotation import up_of
 from hal.types import GRAVITY, Array, PostureCommand, VelocityCommand
 
-STRIDE = 0.40
+STRIDE_TIME = 0.40
 """[s] of one cycle: each pair stands for half of it."""
-LIFT = 0.07
+LIFT_HEIGHT = 0.07
 """[m] by which a foot swings above the ground."""
-DROP = 0.01
+DROP_DEPTH = 0.01
 """[m] below the ground to which a foot reaches that lands."""
-SLEW, BRAKE, TURN_SLEW = 1.0, 2.0, 2.5
+SPEED_SLEW, BRAKE_SLEW, TURN_SLEW = 1.0, 2.0, 2.5
 """Of the commanded speed when it rises and falls [m/s^2], and of the yaw rate [rad/s^2]."""
-HEAVE = 1200.0, 120.0
+HEAVE_GAINS = 1200.0, 120.0
 """[N/m], [N s/m]"""
 HEAVE_I, LIFT_MOST = 400.0, (-15.0, 50.0)
 """[N/m/s] by which the weight of a payload is learnt, and its limits [N]."""
-TILT = np.array([250.0, 300.0]), np.array([12.0, 16.0])
+TILT_GAINS = np.array([250.0, 300.0]), np.array([12.0, 16.0])
 """Roll and pitch: [Nm/rad], [Nm s/rad]."""
-PUSH = 5.0
+PUSH_GAIN = 5.0
 """[1/s] at which the velocity along the ground is corrected while it stands on a foot..."""
-HOLD = 40.0, 10.0
+HOLD_GAINS = 40.0, 10.0
 """... and [1/s^2], [1/s] of a trunk over four feet."""
-TURN = 12.0
+TURN_GAIN = 12.0
 """[Nm s/rad]"""
 TURN_I = 20.0
 """[Nm/rad] of the yaw that is missing."""
-GRIP = 0.5
+GRIP_SHARE = 0.5
 """Share of its load that a foot may push along the ground."""
-CATCH = 0.14
+CATCH_TIME = 0.14
 """[s] A velocity of 1 m/s too much puts the feet so many metres further out."""
-REACH = 0.14
+FOOT_REACH = 0.14
 """[m] Furthest from its default place that a foot lands."""
-LEG = 0.04
+LEG_TIME = 0.04
 """[s] in which the velocity by the feet corrects that of the IMU."""
 SWING_KP, SWING_KD, STANCE_KD = 80.0, 2.0, 1.0
 """[Nm/rad], [Nm s/rad]"""
-PLANE = 0.15
+PLANE_TIME = 0.15
 """[s] of the ground's plane under the feet."""
-STEEPEST = 0.5
+STEEPEST_PLANE = 0.5
 """Rise of a plane that is believed [m/m]."""
-FASTEST = 15.0
+FASTEST_JOINT = 15.0
 """[rad/s] of a joint's wanted speed."""
-RESTS = 0.08
+REST_SPEED = 0.08
 """Speed [m/s] from which a robot that is told to stand may put down all feet."""
-STOPS = 0.02
+STOP_SPEED = 0.02
 """[m/s], [rad/s] below which it stands on all four."""
-TRIM, TRIM_MOST = 0.8, 0.25
+TRIM_GAIN, TRIM_MOST = 0.8, 0.25
 """[1/s] by which the wanted velocity is raised as long as it is missed, and at most [m/s]."""
 
 
@@ -74,11 +74,11 @@ def leg_angles(limbs: Limbs, centres: Array) -> Array:
     out = np.zeros(len(MOTORS))
     side = limbs.thigh_y + limbs.tread_y
     for leg in range(4):
-        x = centres[leg, 0] - limbs.hip_x * SX[leg]
-        y = centres[leg, 1] - limbs.hip_y * SY[leg]
+        x = centres[leg, 0] - limbs.hip_x * SIGN_X[leg]
+        y = centres[leg, 1] - limbs.hip_y * SIGN_Y[leg]
         z = centres[leg, 2] - limbs.hip_z
         down = math.sqrt(max(y * y + z * z - side * side, 1e-6))
-        hip = math.atan2(z, y) - math.atan2(-down, side * SY[leg])
+        hip = math.atan2(z, y) - math.atan2(-down, side * SIGN_Y[leg])
         hip = math.remainder(hip, 2.0 * math.pi)
         cosine = (x * x + down * down - limbs.thigh**2 - limbs.calf**2) / (2.0 * limbs.thigh * limbs.calf)
         calf = -math.acos(min(max(cosine, -1.0), 1.0))
@@ -130,7 +130,7 @@ class Trot:
         del posture
         dt = self.period
         target = np.array([velocity.vx, velocity.vy, velocity.wz])
-        slew = np.where(np.abs(target) < np.abs(self._wanted), BRAKE, SLEW) * dt
+        slew = np.where(np.abs(target) < np.abs(self._wanted), BRAKE_SLEW, SPEED_SLEW) * dt
         slew[2] = TURN_SLEW * dt
         self._wanted += np.clip(target - self._wanted, -slew, slew)
         up = np.array(up_of(state.quaternion))
@@ -144,7 +144,7 @@ class Trot:
         swing = self._gait(dt)
         stands = swing <= 0.0
         self._velocity += dt * (rot @ state.accel - np.array([0.0, 0.0, GRAVITY]))
-        self._velocity -= dt / LEG * (moving[stands].mean(axis=0) + self._velocity)
+        self._velocity -= dt / LEG_TIME * (moving[stands].mean(axis=0) + self._velocity)
         height = self._ground(feet, stands, omega)
         hips = (self._feet * (1.0, 1.0, 0.0)) @ rot.T
         force, moment = self._wrench(rot, (feet - hips)[:, :2].mean(axis=0), height, omega)
@@ -155,7 +155,7 @@ class Trot:
         s = swing[:, None]
         smooth = s * s * (3.0 - 2.0 * s)
         path = (1.0 - smooth) * self._from + smooth * self._landing(hips, height)
-        path[:, 2] += LIFT * np.sin(math.pi * swing) - DROP * swing**4
+        path[:, 2] += LIFT_HEIGHT * np.sin(math.pi * swing) - DROP_DEPTH * swing**4
         q = leg_angles(self._limbs, np.where(stands[:, None], feet, path) @ rot)
         out = self._out
         for leg in range(4):
@@ -166,7 +166,7 @@ class Trot:
                 out.tau[part] = -jacobians[leg].T @ (rot.T @ forces[leg])
             else:
                 speed = (q[part] - self._last[part]) / dt if not lifted[leg] else np.zeros(3)
-                out.q[part], out.dq[part] = q[part], np.clip(speed, -FASTEST, FASTEST)
+                out.q[part], out.dq[part] = q[part], np.clip(speed, -FASTEST_JOINT, FASTEST_JOINT)
                 out.kp[part], out.kd[part], out.tau[part] = SWING_KP, SWING_KD, 0.0
         self._last = q
         return out
@@ -178,7 +178,7 @@ class Trot:
         self._spots[stands] = feet[stands]
         flat = np.column_stack([np.ones(4), self._spots[:, :2]])
         level, *rise = np.linalg.lstsq(flat, self._spots[:, 2])[0]
-        self._slope += dt / PLANE * (np.clip(rise, -STEEPEST, STEEPEST) - self._slope)
+        self._slope += dt / PLANE_TIME * (np.clip(rise, -STEEPEST_PLANE, STEEPEST_PLANE) - self._slope)
         return -float(level)
 
     def _wrench(self, rot: Array, offset: Array, height: float, omega: Array) -> tuple[Array, Array]:
@@ -187,47 +187,47 @@ class Trot:
         error = float(np.clip(-self._feet[:, 2].mean() - height, -0.05, 0.05))
         self._lift_i = float(np.clip(self._lift_i + HEAVE_I * error * dt, *LIFT_MOST))
         force, moment = np.zeros(3), np.zeros(3)
-        force[2] = self._mass * GRAVITY + self._lift_i + HEAVE[0] * error - HEAVE[1] * v[2]
+        force[2] = self._mass * GRAVITY + self._lift_i + HEAVE_GAINS[0] * error - HEAVE_GAINS[1] * v[2]
         if self._walks:
-            force[:2] = self._mass * PUSH * (self._wanted[:2] + self._trim - v[:2])
-            self._trim += TRIM * dt * (self._wanted[:2] - v[:2])
+            force[:2] = self._mass * PUSH_GAIN * (self._wanted[:2] + self._trim - v[:2])
+            self._trim += TRIM_GAIN * dt * (self._wanted[:2] - v[:2])
             self._trim = np.clip(self._trim, -TRIM_MOST, TRIM_MOST)
         else:
-            force[:2] = self._mass * (HOLD[0] * offset - HOLD[1] * v[:2])
+            force[:2] = self._mass * (HOLD_GAINS[0] * offset - HOLD_GAINS[1] * v[:2])
             self._trim[:] = 0.0
         roll, pitch = math.atan2(rot[2, 1], rot[2, 2]), -math.asin(float(np.clip(rot[2, 0], -1.0, 1.0)))
         lean = np.arctan([self._slope[1], -self._slope[0]]) - (roll, pitch)
-        moment[:2] = TILT[0] * np.clip(lean, -0.3, 0.3) - TILT[1] * omega[:2]
+        moment[:2] = TILT_GAINS[0] * np.clip(lean, -0.3, 0.3) - TILT_GAINS[1] * omega[:2]
         miss = float(self._wanted[2] - omega[2])
         self._yaw_miss = float(np.clip(self._yaw_miss + miss * dt, -0.3, 0.3)) if self._walks else 0.0
-        moment[2] = TURN * miss + TURN_I * self._yaw_miss
+        moment[2] = TURN_GAIN * miss + TURN_I * self._yaw_miss
         return force, moment
 
     def _gait(self, dt: float) -> Array:
         """(4,) how far each foot is in its swing, 0 to 1; zero and less where it stands."""
-        moves = float(np.abs(self._wanted).max()) > STOPS
-        far = float(np.abs(self._velocity[:2]).max()) > RESTS
+        moves = float(np.abs(self._wanted).max()) > STOP_SPEED
+        far = float(np.abs(self._velocity[:2]).max()) > REST_SPEED
         if self._walks or moves:
-            before, self._phase = self._phase % 1.0, self._phase + dt / STRIDE
+            before, self._phase = self._phase % 1.0, self._phase + dt / STRIDE_TIME
             if not self._walks:
                 self._phase, before = 0.0, 0.0
             self._calm = 0 if moves or far else self._calm + (self._phase % 1.0 < before)
             self._walks = moves or far or self._calm < 1
         if not self._walks:
             return np.zeros(4)
-        share = (self._phase + np.where(SX * SY > 0.0, 0.0, 0.5)) % 1.0
+        share = (self._phase + np.where(SIGN_X * SIGN_Y > 0.0, 0.0, 0.5)) % 1.0
         return np.asarray(2.0 * share - 1.0)
 
     def _landing(self, hips: Array, height: float) -> Array:
         """(4, 3) where the feet are to land, H, by the capture point."""
-        v, stance = self._velocity, 0.5 * STRIDE
+        v, stance = self._velocity, 0.5 * STRIDE_TIME
         place = hips.copy()
         turn = 0.5 * stance * self._wanted[2]
-        step = 0.5 * stance * v[:2] + CATCH * (v[:2] - self._wanted[:2] - self._trim)
+        step = 0.5 * stance * v[:2] + CATCH_TIME * (v[:2] - self._wanted[:2] - self._trim)
         for leg in range(4):
             x, y = hips[leg, :2]
-            place[leg, 0] += float(np.clip(step[0] - turn * y, -REACH, REACH))
-            place[leg, 1] += float(np.clip(step[1] + turn * x, -0.7 * REACH, 0.7 * REACH))
+            place[leg, 0] += float(np.clip(step[0] - turn * y, -FOOT_REACH, FOOT_REACH))
+            place[leg, 1] += float(np.clip(step[1] + turn * x, -0.7 * FOOT_REACH, 0.7 * FOOT_REACH))
         place[:, 2] = place[:, :2] @ self._slope - height
         return place
 
@@ -249,7 +249,7 @@ class Trot:
         aw = a * weight[:, None]
         f = np.linalg.solve(aw.T @ aw + 1e-2 * np.eye(3 * n), aw.T @ (weight * wrench)).reshape(n, 3)
         f[:, 2] = np.clip(f[:, 2], 5.0, 2.5 * self._mass * GRAVITY / n)
-        most = GRIP * f[:, 2]
+        most = GRIP_SHARE * f[:, 2]
         along = np.linalg.norm(f[:, :2], axis=1)
         f[:, :2] *= np.minimum(1.0, most / np.maximum(along, 1e-6))[:, None]
         out[which] = f

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from hal import limbs
-from hal.limbs import LEGS, MOTORS, SX, SY, WHEELS
+from hal.limbs import LEGS, MOTORS, SIGN_X, SIGN_Y, WHEEL_JOINTS
 from hal.robots import describe
 from hal.types import Array
 
@@ -49,10 +49,10 @@ class Link(NamedTuple):
     """Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass [kg m^2]."""
 
 
-BASE: Final = Link(
+BASE_LINK: Final = Link(
     6.921, (0.021112, 0.0, -0.005366), (0.02448, 0.098077, 0.107, 1.2166e-4, 1.4849e-3, -3.12e-5)
 )
-HIP: Final = Link(
+HIP_LINK: Final = Link(
     0.678, (-0.0054, 0.00194, -0.000105), (0.00048, 0.000884, 0.000596, -3.01e-6, 1.11e-6, -1.42e-6)
 )
 THIGH_LINK: Final = Link(
@@ -63,20 +63,24 @@ CALF_LINK: Final = Link(
 )
 WHEEL_MOTOR: Final = Link(0.646, (0.0, 0.01, -0.2264), (0.001, 0.0016, 0.001, 0.0, 0.0, 0.0))
 """Fixed to the calf; `com` is in the calf frame."""
-WHEEL: Final = Link(0.520, (0.0, 0.06, 0.0), (0.0007, 0.0012, 0.0007, 0.0, 0.0, 0.0))
-MASS: Final = BASE.mass + 4 * (HIP.mass + THIGH_LINK.mass + CALF_LINK.mass + WHEEL_MOTOR.mass + WHEEL.mass)
+WHEEL_LINK: Final = Link(0.520, (0.0, 0.06, 0.0), (0.0007, 0.0012, 0.0007, 0.0, 0.0, 0.0))
+ROBOT_MASS: Final = BASE_LINK.mass + 4 * (
+    HIP_LINK.mass + THIGH_LINK.mass + CALF_LINK.mass + WHEEL_MOTOR.mass + WHEEL_LINK.mass
+)
 """Whole robot [kg]: 19.52."""
-ARMATURE: Final = 0.01
+MOTOR_ARMATURE: Final = 0.01
 """Reflected rotor inertia of every motor [kg m^2]."""
-DAMPING: Final = 0.1
+JOINT_DAMPING: Final = 0.1
 """Viscous joint friction [Nm s/rad]."""
-FRICTIONLOSS: Final = 0.2
+JOINT_FRICTION: Final = 0.2
 """Dry joint friction [Nm]."""
 
 # --- limits, (16,) in SDK order -----------------------------------------------------------------------------------
-_FRONT = ((-1.0472, 1.0472), (-1.5708, 3.4907), (-2.7227, -0.83776))
-_REAR = ((-1.0472, 1.0472), (-0.5236, 4.5379), (-2.7227, -0.83776))
-JOINT_RANGE: Final[Array] = np.array([*_FRONT, *_FRONT, *_REAR, *_REAR] + [(-np.inf, np.inf)] * 4)
+_FRONT_RANGE = ((-1.0472, 1.0472), (-1.5708, 3.4907), (-2.7227, -0.83776))
+_REAR_RANGE = ((-1.0472, 1.0472), (-0.5236, 4.5379), (-2.7227, -0.83776))
+JOINT_RANGE: Final[Array] = np.array(
+    [*_FRONT_RANGE, *_FRONT_RANGE, *_REAR_RANGE, *_REAR_RANGE] + [(-np.inf, np.inf)] * 4
+)
 """(16, 2) lowest and highest joint angle [rad]; wheels turn freely."""
 TORQUE_LIMIT: Final[Array] = np.array([23.7, 23.7, 35.55] * 4 + [23.7] * 4)
 """(16,) [Nm]."""
@@ -92,7 +96,7 @@ def pose(hip: float, thigh: float, calf: float) -> Array:
 
 STAND: Final[Array] = _ROBOT.pose
 """Default stand: base_link 0.408 m above level ground."""
-FOLDED: Final[Array] = pose(0.0, 1.36, -2.65)
+FOLDED_POSE: Final[Array] = pose(0.0, 1.36, -2.65)
 """Lying: 0.193 m."""
 
 
@@ -117,11 +121,11 @@ def leg_angles(centres: Array) -> Array:
     out = np.zeros(16)
     side = THIGH_Y + TREAD_Y
     for leg in range(4):
-        x = centres[leg, 0] - HIP_X * SX[leg]
-        y = centres[leg, 1] - HIP_Y * SY[leg]
+        x = centres[leg, 0] - HIP_X * SIGN_X[leg]
+        y = centres[leg, 1] - HIP_Y * SIGN_Y[leg]
         z = centres[leg, 2]
         down = math.sqrt(max(y * y + z * z - side * side, 1e-6))
-        hip = math.atan2(z, y) - math.atan2(-down, side * SY[leg])
+        hip = math.atan2(z, y) - math.atan2(-down, side * SIGN_Y[leg])
         hip = math.remainder(hip, 2.0 * math.pi)
         cosine = (x * x + down * down - THIGH**2 - CALF**2) / (2.0 * THIGH * CALF)
         calf = -math.acos(min(max(cosine, -1.0), 1.0))
@@ -136,4 +140,4 @@ def stand_height(q: Array) -> float:
     return limbs.stand_height(LIMBS, q)
 
 
-__all__ = ["LEGS", "MOTORS", "SX", "SY", "WHEELS"]
+__all__ = ["LEGS", "MOTORS", "SIGN_X", "SIGN_Y", "WHEEL_JOINTS"]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hal.lowlevel import LowCommand, LowState
-from hal.postures.legs import UPRIGHT, Legs
+from hal.postures.legs import UPRIGHT_COSINE, Legs
 from hal.robots.go2w import facts as go2w
 from hal.rotation import up_of
 from hal.types import Array
@@ -20,7 +20,7 @@ ON_BACK = -0.6
 """Cosine of the tilt below which it lies on its back."""
 NEARLY_UPRIGHT = 0.9
 """Cosine of the tilt above which the wheels are braked."""
-FREE, BRAKED = 0.2, 4.0
+FREE_DAMPING, BRAKED_DAMPING = 0.2, 4.0
 """Damping of the wheels [Nms/rad]."""
 
 Frame = tuple[float, float, Array]
@@ -55,16 +55,18 @@ class Righting:
         self._command.kp[:12] = stiffness
         # Free wheels slide along the ground instead of holding the trunk back; once it is nearly upright they would
         # roll downhill.
-        self._command.kd[go2w.WHEELS] = FREE if up_of(state.quaternion)[2] < NEARLY_UPRIGHT else BRAKED
+        self._command.kd[go2w.WHEEL_JOINTS] = (
+            FREE_DAMPING if up_of(state.quaternion)[2] < NEARLY_UPRIGHT else BRAKED_DAMPING
+        )
         return self._command
 
     def _plan(self, state: LowState) -> list[Frame]:
         """Choose the next motion from the attitude."""
         _, left_up, height = up_of(state.quaternion)
-        self.upright = height > UPRIGHT
+        self.upright = height > UPRIGHT_COSINE
         self.failed = not self.upright and state.time > self._until
         if self.upright or self.failed:
-            return [(0.3, 120.0, go2w.FOLDED)]
+            return [(0.3, 120.0, go2w.FOLDED_POSE)]
         if height > ON_BACK:
             return lever_over(low=-1.0 if left_up > 0.0 else 1.0)
         self._throws += 1
@@ -77,8 +79,8 @@ def legs(side: float, these: tuple[float, float, float], others: tuple[float, fl
     outwards."""
     q = np.zeros(16)
     for leg in range(4):
-        hip, thigh, calf = these if go2w.SY[leg] == side else others
-        q[3 * leg : 3 * leg + 3] = hip * go2w.SY[leg], thigh, calf
+        hip, thigh, calf = these if go2w.SIGN_Y[leg] == side else others
+        q[3 * leg : 3 * leg + 3] = hip * go2w.SIGN_Y[leg], thigh, calf
     return np.clip(q, go2w.JOINT_RANGE[:, 0], go2w.JOINT_RANGE[:, 1])
 
 
@@ -88,8 +90,8 @@ def lever_over(low: float) -> list[Frame]:
         (0.61, 120.0, legs(low, (-1.04, 0.73, -1.12), (-0.20, 1.67, -1.22))),
         (0.64, 120.0, legs(low, (0.55, 3.30, -1.80), (0.15, 1.13, -2.04))),
         (0.39, 120.0, legs(low, (0.29, 1.33, -1.94), (-0.08, 1.32, -1.84))),
-        (0.60, 120.0, go2w.FOLDED),
-        (0.40, 120.0, go2w.FOLDED),
+        (0.60, 120.0, go2w.FOLDED_POSE),
+        (0.40, 120.0, go2w.FOLDED_POSE),
     ]
 
 
@@ -102,5 +104,5 @@ def throw_over(side: float) -> list[Frame]:
     ]
 
 
-LEGS = Legs(go2w.LIMBS, go2w.STAND, go2w.FOLDED, tall=0.25, angles=go2w.leg_angles, righting=Righting)
+LEGS = Legs(go2w.LIMBS, go2w.STAND, go2w.FOLDED_POSE, tall=0.25, angles=go2w.leg_angles, righting=Righting)
 """Folded base_link is 0.17 m above the wheels' lowest points, in stance 0.39 m."""

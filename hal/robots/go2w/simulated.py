@@ -44,7 +44,7 @@ class Go2W:
         """The robot over the origin. Without `housings` the collider set is that of the vendor's MJCF."""
         base = spec.worldbody.add_body(name="base_link", pos=[0.0, 0.0, go2w.stand_height(go2w.STAND)])
         base.add_freejoint(name="base")
-        _set_inertia(base, go2w.BASE, 1.0, 1.0)
+        _set_inertia(base, go2w.BASE_LINK, 1.0, 1.0)
         base.add_site(name="imu", pos=go2w.IMU_POSITION)
         _trunk(base)
         if looks:
@@ -107,18 +107,18 @@ def _hinge(body: mujoco.MjsBody, motor: str, axis: list[float]) -> None:
         name=motor,
         type=mujoco.mjtJoint.mjJNT_HINGE,
         axis=axis,
-        armature=go2w.ARMATURE,
-        damping=[go2w.DAMPING, 0.0, 0.0],
-        frictionloss=go2w.FRICTIONLOSS,
+        armature=go2w.MOTOR_ARMATURE,
+        damping=[go2w.JOINT_DAMPING, 0.0, 0.0],
+        frictionloss=go2w.JOINT_FRICTION,
         **limits,
     )
 
 
 def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: bool, looks: bool) -> None:
-    sx, sy = float(go2w.SX[leg]), float(go2w.SY[leg])
+    sx, sy = float(go2w.SIGN_X[leg]), float(go2w.SIGN_Y[leg])
     hip = base.add_body(name=f"{name}_hip", pos=[go2w.HIP_X * sx, go2w.HIP_Y * sy, 0.0])
     _hinge(hip, f"{name}_hip", [1.0, 0.0, 0.0])
-    _set_inertia(hip, go2w.HIP, sx, sy)
+    _set_inertia(hip, go2w.HIP_LINK, sx, sy)
     collider(hip, type=CYLINDER, size=[0.046, 0.02, 0.0], pos=[0.0, 0.08 * sy, 0.0], quat=ALONG_Y)
 
     thigh = hip.add_body(name=f"{name}_thigh", pos=[0.0, go2w.THIGH_Y * sy, 0.0])
@@ -141,7 +141,7 @@ def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: b
 
     wheel = calf.add_body(name=f"{name}_wheel", pos=[0.0, 0.0, -go2w.CALF])
     _hinge(wheel, f"{name}_wheel", [0.0, 1.0, 0.0])
-    _set_inertia(wheel, go2w.WHEEL, 1.0, sy)
+    _set_inertia(wheel, go2w.WHEEL_LINK, 1.0, sy)
     tread(wheel, f"{name}_wheel", go2w.LIMBS, go2w.TREAD_Y * sy, friction)
     if looks:
         dress_leg(hip, thigh, calf, wheel, sx, sy)

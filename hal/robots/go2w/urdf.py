@@ -16,17 +16,17 @@ GREY, DARK = "0.75 0.76 0.78 1", "0.15 0.15 0.16 1"
 def urdf() -> str:
     """The description that RViz, Foxglove and `robot_state_publisher` read. Joints have the names of `go2w.MOTORS`."""
     robot = Xml.Element("robot", name="go2w")
-    trunk = _link(robot, ROOT, go2w.BASE)
+    trunk = _link(robot, ROOT, go2w.BASE_LINK)
     _shape(trunk, "box", (0.0, 0.0, 0.0), GREY, size="0.376 0.0935 0.114")
     _shape(trunk, "cylinder", (0.285, 0.0, 0.01), GREY, radius="0.05", length="0.09")
     for leg, name in enumerate(go2w.LEGS):
-        _leg(robot, name, float(go2w.SX[leg]), float(go2w.SY[leg]))
+        _leg(robot, name, float(go2w.SIGN_X[leg]), float(go2w.SIGN_Y[leg]))
     Xml.indent(robot)
     return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode")
 
 
 def _leg(robot: Xml.Element, name: str, sx: float, sy: float) -> None:
-    hip = _link(robot, f"{name}_hip", go2w.HIP, sx, sy)
+    hip = _link(robot, f"{name}_hip", go2w.HIP_LINK, sx, sy)
     _shape(hip, "cylinder", (0.0, 0.08 * sy, 0.0), GREY, along_y=True, radius="0.046", length="0.04")
     _joint(robot, f"{name}_hip", ROOT, (go2w.HIP_X * sx, go2w.HIP_Y * sy, 0.0), "1 0 0")
 
@@ -42,7 +42,7 @@ def _leg(robot: Xml.Element, name: str, sx: float, sy: float) -> None:
     _link(robot, motor, go2w.WHEEL_MOTOR, 1.0, sy)
     _connect(robot, motor, "fixed", f"{name}_calf", motor, (0.0, 0.0, 0.0))
 
-    wheel = _link(robot, f"{name}_wheel", go2w.WHEEL, 1.0, sy)
+    wheel = _link(robot, f"{name}_wheel", go2w.WHEEL_LINK, 1.0, sy)
     tread = {"radius": str(go2w.WHEEL_RADIUS), "length": str(go2w.TREAD_WIDTH)}
     _shape(wheel, "cylinder", (0.0, go2w.TREAD_Y * sy, 0.0), DARK, along_y=True, **tread)
     _joint(robot, f"{name}_wheel", f"{name}_calf", (0.0, 0.0, -go2w.CALF), "0 1 0")
@@ -89,7 +89,7 @@ def _joint(robot: Xml.Element, motor: str, parent: str, place: tuple[float, floa
     Xml.SubElement(joint, "axis", xyz=axis)
     limit = {"effort": str(go2w.TORQUE_LIMIT[number]), "velocity": str(go2w.SPEED_LIMIT[number])}
     Xml.SubElement(joint, "limit", limit if free else limit | {"lower": str(low), "upper": str(high)})
-    Xml.SubElement(joint, "dynamics", damping=str(go2w.DAMPING), friction=str(go2w.FRICTIONLOSS))
+    Xml.SubElement(joint, "dynamics", damping=str(go2w.JOINT_DAMPING), friction=str(go2w.JOINT_FRICTION))
 
 
 def _connect(

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hal.limbs import MOTORS, SY, WHEELS, Limbs
+from hal.limbs import MOTORS, SIGN_Y, WHEEL_JOINTS, Limbs
 from hal.lowlevel import LowCommand, LowState
 from hal.types import PostureCommand, VelocityCommand
 
-SLEW, TURN_SLEW = 2.0, 6.0
+SPEED_SLEW, TURN_SLEW = 2.0, 6.0
 """Of the commanded speed [m/s^2] and yaw rate [rad/s^2]."""
 YAW_KP, YAW_KI, YAW_MOST = 1.0, 6.0, 4.0
 """Of the loop on the gyro: share of the error, the same for each second [1/s], and what it adds at most [rad/s]."""
@@ -19,7 +19,7 @@ WHEEL_KD = 2.5
 """[Nm s/rad]"""
 HOLD_KP = 60.0
 """[Nm/rad] of a wheel that holds its place."""
-REST = 0.05
+REST_SPEED = 0.05
 """[rad/s] of the wheels from which they hold it."""
 
 
@@ -43,23 +43,23 @@ class Drive:
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One control tick."""
         dt, out = self.period, self._out
-        self._vx += float(np.clip(velocity.vx - self._vx, -SLEW * dt, SLEW * dt))
+        self._vx += float(np.clip(velocity.vx - self._vx, -SPEED_SLEW * dt, SPEED_SLEW * dt))
         self._wz += float(np.clip(velocity.wz - self._wz, -TURN_SLEW * dt, TURN_SLEW * dt))
-        out.kd[WHEELS] = WHEEL_KD
+        out.kd[WHEEL_JOINTS] = WHEEL_KD
         if self._vx == 0.0 and self._wz == 0.0:
             self._slip = 0.0
-            if self._held is None and np.abs(state.dq[WHEELS]).max() < REST:
-                self._held = state.q[WHEELS].copy()
-            out.dq[WHEELS] = 0.0
-            out.kp[WHEELS] = 0.0 if self._held is None else HOLD_KP
-            out.q[WHEELS] = state.q[WHEELS] if self._held is None else self._held
+            if self._held is None and np.abs(state.dq[WHEEL_JOINTS]).max() < REST_SPEED:
+                self._held = state.q[WHEEL_JOINTS].copy()
+            out.dq[WHEEL_JOINTS] = 0.0
+            out.kp[WHEEL_JOINTS] = 0.0 if self._held is None else HOLD_KP
+            out.q[WHEEL_JOINTS] = state.q[WHEEL_JOINTS] if self._held is None else self._held
             return out
         self._held = None
         error = self._wz - float(state.gyro[2])
         self._slip = float(np.clip(self._slip + YAW_KI * error * dt, -YAW_MOST, YAW_MOST))
         turn = self._wz + YAW_KP * error + self._slip
-        out.kp[WHEELS] = 0.0
-        out.dq[WHEELS] = (self._vx - SY * turn * self._limbs.tread) / self._limbs.radius
+        out.kp[WHEEL_JOINTS] = 0.0
+        out.dq[WHEEL_JOINTS] = (self._vx - SIGN_Y * turn * self._limbs.tread) / self._limbs.radius
         return out
 
     def warning(self) -> str:

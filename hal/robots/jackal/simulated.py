@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from hal.lidar.caster import OrientedBox
-from hal.limbs import LEGS, MOTORS, SX, SY, wheel_centres
+from hal.limbs import LEGS, MOTORS, SIGN_X, SIGN_Y, wheel_centres
 from hal.lowlevel import Locomotion
 from hal.mujoco.robot import (
     ALONG_Y,
@@ -29,13 +29,13 @@ from hal.robots.folders import describe
 
 from .drive import Drive  # of this folder: of the copy, in a copy
 
-CHASSIS = 0.420, 0.310, 0.184
+CHASSIS_SIZE = 0.420, 0.310, 0.184
 """Full lengths [m]."""
 WHEEL_MASS = 0.477
 """[kg]"""
-TORQUE, FASTEST = 8.0, 22.0
+WHEEL_TORQUE, FASTEST_WHEEL = 8.0, 22.0
 """Of a wheel [Nm], [rad/s]: 2 m/s."""
-DAMPING, FRICTIONLOSS, ARMATURE = 0.05, 0.1, 0.01
+WHEEL_DAMPING, WHEEL_FRICTION, WHEEL_ARMATURE = 0.05, 0.1, 0.01
 """Of a wheel's drive [Nm s/rad], [Nm], [kg m^2]."""
 
 
@@ -46,12 +46,12 @@ class Jackal:
         self._robot = describe(str(Path(__file__).parent))
         self.limbs, self.stand, self.legs = self._robot.limbs, self._robot.pose, None
         wheels = np.array([name.endswith("wheel") for name in MOTORS])
-        self.torque_limit = np.where(wheels, TORQUE, 0.0)
-        self.speed_limit = np.where(wheels, FASTEST, np.inf)
+        self.torque_limit = np.where(wheels, WHEEL_TORQUE, 0.0)
+        self.speed_limit = np.where(wheels, FASTEST_WHEEL, np.inf)
         wheel = 2.0 * self.limbs.radius, self.limbs.tread_width, 2.0 * self.limbs.radius
         centres = wheel_centres(self.limbs, self.stand).tolist()
         self.blocks = (
-            OrientedBox((0.0, 0.0, 0.0), CHASSIS),
+            OrientedBox((0.0, 0.0, 0.0), CHASSIS_SIZE),
             *(OrientedBox((x, y, z), wheel) for x, y, z in centres),
         )
 
@@ -64,27 +64,27 @@ class Jackal:
         base.add_freejoint(name="base")
         base.explicitinertial = True
         base.mass = mass
-        x, y, z = (side * side * mass / 12.0 for side in CHASSIS)
+        x, y, z = (side * side * mass / 12.0 for side in CHASSIS_SIZE)
         base.inertia = [y + z, x + z, x + y]
         base.add_site(name="imu", pos=self._robot.imu.translation)
-        collider(base, type=BOX, size=np.array(CHASSIS) / 2)
+        collider(base, type=BOX, size=np.array(CHASSIS_SIZE) / 2)
         if looks:
             sun(base)
-            visual(base, SHELL, type=BOX, size=np.array(CHASSIS) / 2 * (1.0, 1.0, 0.7))
+            visual(base, SHELL, type=BOX, size=np.array(CHASSIS_SIZE) / 2 * (1.0, 1.0, 0.7))
             visual(base, DARK, type=BOX, size=[0.215, 0.09, 0.03], pos=[0.0, 0.0, 0.07])
             mast = self._robot.mounts["vlp16"].translation
             visual(base, STEEL, type=CYLINDER, size=[0.03, 0.05, 0.0], pos=[mast[0], mast[1], mast[2] - 0.08])
             visual(base, LENS, type=CYLINDER, size=[0.046, 0.034, 0.0], pos=mast)
         load(base, payload, [0.0, 0.0, 0.14])
-        for leg, sx, sy in zip(LEGS, SX.tolist(), SY.tolist(), strict=True):
+        for leg, sx, sy in zip(LEGS, SIGN_X.tolist(), SIGN_Y.tolist(), strict=True):
             wheel = base.add_body(name=f"{leg}_wheel", pos=[limbs.hip_x * sx, limbs.hip_y * sy, limbs.hip_z])
             wheel.add_joint(
                 name=f"{leg}_wheel",
                 type=mujoco.mjtJoint.mjJNT_HINGE,
                 axis=[0.0, 1.0, 0.0],
-                armature=ARMATURE,
-                damping=[DAMPING, 0.0, 0.0],
-                frictionloss=FRICTIONLOSS,
+                armature=WHEEL_ARMATURE,
+                damping=[WHEEL_DAMPING, 0.0, 0.0],
+                frictionloss=WHEEL_FRICTION,
             )
             wheel.explicitinertial = True
             wheel.mass = WHEEL_MASS
@@ -94,7 +94,7 @@ class Jackal:
             if looks:
                 face = [0.0, (limbs.tread_width / 2 + 0.001) * sy, 0.0]
                 visual(wheel, STEEL, type=CYLINDER, size=[0.06, 0.002, 0.0], pos=face, quat=ALONG_Y)
-            motor(spec, f"{leg}_wheel", TORQUE)
+            motor(spec, f"{leg}_wheel", WHEEL_TORQUE)
         return base
 
     def controller(self, name: str, policy: str | Path, period: float) -> Locomotion:

@@ -42,13 +42,13 @@ log = logging.getLogger(__name__)
 TETHER_SHARE, TETHER_VX = 1.0 / 3.0, 0.2
 """Share of the torque limits and speed [m/s] of a controller that was not tried on this robot yet."""
 TETHER = "not tried on this robot: hang it with its wheels off the ground; then name the controller in unitree.tried"
-START = 120.0
+START_TIME = 120.0
 """[s] for the motor loop to compile and start."""
 RETURNED = (
     "the robot's own motion service has the motors again (app or remote), nothing is sent any more: "
     "start the stack anew"
 )
-OWNED = 0.5
+OWNED_WITHIN = 0.5
 """[s] within which a motion service that has the motors tells its state."""
 KEPT_REQUESTS = 8
 """Requests that are told again and again: a line may be lost."""
@@ -131,7 +131,7 @@ class LowLevelBackend:
         out: list[Sample] = list(telemetry.read(now))
         self._rpc.poll(now)
         # Its last words may come after its release.
-        if telemetry.sport_age(now) < OWNED and now - self._released_at > 2 * OWNED * NS:
+        if telemetry.sport_age(now) < OWNED_WITHIN and now - self._released_at > 2 * OWNED_WITHIN * NS:
             self._order.taken = True
         self._tell(now)
         self._judge()
@@ -236,7 +236,7 @@ class LowLevelBackend:
     def _start_motors(self) -> None:
         """The motor loop, up to its first report. Raises BackendError."""
         self._motors = self._start(dict(self._settings))
-        deadline = self._clock() + round(START * NS)
+        deadline = self._clock() + round(START_TIME * NS)
         while True:
             self._tick()
             report = self._motors.report()
@@ -245,7 +245,7 @@ class LowLevelBackend:
             if lost := self._motors.lost():
                 raise BackendError(lost)
             if self._now > deadline:
-                raise BackendError(f"the motor loop did not start within {START:.0f} s")
+                raise BackendError(f"the motor loop did not start within {START_TIME:.0f} s")
             self._sleep(0.005)
 
     def _restart_motors(self) -> None:

@@ -11,14 +11,14 @@ import time
 from typing import Any, Protocol
 
 from hal.unitree.api import WireError
-from hal.unitree.low.loop import LEAVING, Order, Report
+from hal.unitree.low.loop import LEAVING_TIME, Order, Report
 from hal.unitree.low.pipe import Lines, write
 
 log = logging.getLogger(__name__)
 
-SILENT = 0.5
+SILENT_AFTER = 0.5
 """[s] without a report: the loop hangs."""
-CLOSING = LEAVING + 4.0
+CLOSING_TIME = LEAVING_TIME + 4.0
 """[s] for the robot to lie down and go soft."""
 
 
@@ -81,7 +81,7 @@ class MotorProcess:
         self.report()
         if self._process.poll() is not None:
             return "the process of the motor loop ended: its reason is in the log above"
-        if self._report is not None and time.monotonic() - self._heard > SILENT:
+        if self._report is not None and time.monotonic() - self._heard > SILENT_AFTER:
             return "the process of the motor loop is silent"
         return ""
 
@@ -93,7 +93,7 @@ class MotorProcess:
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         try:
-            self._process.wait(CLOSING)
+            self._process.wait(CLOSING_TIME)
         except subprocess.TimeoutExpired:
             self._process.kill()  # its watchdog makes the robot soft
             self._process.wait()

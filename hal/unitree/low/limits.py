@@ -13,17 +13,17 @@ from hal.robots.go2w import facts as go2w
 from hal.types import Array
 from hal.unitree.low.wire import MOTORS
 
-STIFFEST, MOST_DAMPED = 400.0, 20.0
+STIFFEST_JOINT, MOST_DAMPED = 400.0, 20.0
 """[Nm/rad] and [Nms/rad]: above what any controller of ours asks for (300 and 8)."""
 SOFT_START = 1.0
 """[s] in which the stiffness grows from nothing, after the motors were off."""
-OVERSPEED = 1.25
+OVERSPEED_RATIO = 1.25
 """Share of a motor's top speed that it cannot reach by itself: something drives it, or it reads wrong."""
-BEYOND = 0.2
+BEYOND_RANGE = 0.2
 """[rad] outside its range that no joint reaches: its encoder lies."""
-LASTING = 5
+LASTING_MESSAGES = 5
 """Messages in a row that show it: one may be wrong."""
-HOT = 90.0
+HOT_WINDING = 90.0
 """[deg C] of a motor's winding; the vendor's own protection begins near 100."""
 
 
@@ -45,7 +45,7 @@ class Limits:
         motors = low["motor_state"]
         warm = motors["temperature"][:MOTORS]
         hottest = int(np.argmax(warm))
-        if warm[hottest] >= HOT:
+        if warm[hottest] >= HOT_WINDING:
             return (
                 f"motor {go2w.MOTORS[hottest]} has {int(warm[hottest])} deg C: let it cool down, then recover"
             )
@@ -53,21 +53,21 @@ class Limits:
             return lost
         found = self._found(state)
         self._bad = self._bad + 1 if found else 0
-        return found if self._bad >= LASTING else ""
+        return found if self._bad >= LASTING_MESSAGES else ""
 
     def _found(self, state: LowState) -> str:
         values = np.concatenate([state.q, state.dq, state.tau, state.quaternion, state.gyro, state.accel])
         if not np.isfinite(values).all():
             return "LowState holds a value that is not a number"
         fast = int(np.argmax(np.abs(state.dq) / go2w.SPEED_LIMIT))
-        if abs(state.dq[fast]) > OVERSPEED * go2w.SPEED_LIMIT[fast]:
+        if abs(state.dq[fast]) > OVERSPEED_RATIO * go2w.SPEED_LIMIT[fast]:
             return (
                 f"motor {go2w.MOTORS[fast]} turns at {state.dq[fast]:.0f} rad/s, possible are "
                 f"{go2w.SPEED_LIMIT[fast]:.0f}"
             )
         out = np.maximum(go2w.JOINT_RANGE[:, 0] - state.q, state.q - go2w.JOINT_RANGE[:, 1])
         far = int(np.argmax(out))
-        if out[far] > BEYOND:
+        if out[far] > BEYOND_RANGE:
             return (
                 f"joint {go2w.MOTORS[far]} reads {state.q[far]:.2f} rad, {out[far]:.2f} rad outside its range"
             )
@@ -86,7 +86,7 @@ class Limits:
             return None
         np.clip(out.q, go2w.JOINT_RANGE[:, 0], go2w.JOINT_RANGE[:, 1], out=out.q)
         np.clip(out.dq, -go2w.SPEED_LIMIT, go2w.SPEED_LIMIT, out=out.dq)
-        np.clip(out.kp, 0.0, STIFFEST, out=out.kp)
+        np.clip(out.kp, 0.0, STIFFEST_JOINT, out=out.kp)
         out.kp *= self._rise(state.time)
         np.clip(out.kd, 0.0, MOST_DAMPED, out=out.kd)
         torque: Array = np.abs(out.tau + out.kp * (out.q - state.q) + out.kd * (out.dq - state.dq))

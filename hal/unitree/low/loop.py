@@ -39,18 +39,18 @@ from hal.unitree.turns import Turns
 
 log = logging.getLogger(__name__)
 
-PERIOD = 0.002
+COMMAND_PERIOD = 0.002
 """[s] between two LowCmd, as in every example of the vendor."""
 HOST_SILENT = 0.2
 """[s] without an order: velocity zero, as the watchdog of the sport service's driver."""
 STATE_SILENT = 0.09
 """[s] without a LowState: the robot balances by it. Motors are soft within 0.1 s."""
-SHARES = (0.5, 0.99, 0.999)
+TOLD_SHARES = (0.5, 0.99, 0.999)
 """Of the times between two commands, as they are told."""
 SOFT_TIME = 0.5
 """[s] of damping after which a robot that lies counts as at rest."""
 SOFTENED = "made soft by L2 + B on the robot's own remote"
-LEAVING = 8.0
+LEAVING_TIME = 8.0
 """[s] to lie down when the host is gone; then it is made soft where it is."""
 
 
@@ -104,7 +104,7 @@ class Report:
     worst: float = 0.0
     """Longest time between two commands [s]..."""
     shares: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """... and that which `SHARES` of them keep."""
+    """... and that which `TOLD_SHARES` of them keep."""
 
     def pack(self) -> bytes:
         """One line of JSON."""
@@ -123,7 +123,7 @@ class Report:
 
 
 class MotorLoop:
-    """One controller on one robot. Call `tick` every `PERIOD`; all times are in s of one clock that goes on."""
+    """One controller on one robot. Call `tick` every `COMMAND_PERIOD`; all times are in s of one clock that goes on."""
 
     def __init__(
         self,
@@ -180,7 +180,7 @@ class MotorLoop:
             return  # a frozen publisher tells nothing
         step = 0.0 if self._tick is None else (tick - self._tick) % 2**32 / 1000.0
         # A counter that jumps was set, and time for the controller goes on as it does here.
-        self._time += step if step < STATE_SILENT else PERIOD
+        self._time += step if step < STATE_SILENT else COMMAND_PERIOD
         self._tick, self._heard_at = tick, now
         first = self._state is None
         self._state = state = low_state(low, self._time, self._imu_yaw)
@@ -233,7 +233,10 @@ class MotorLoop:
         if self._gone_at is not None:
             self._lie_down(now, now - self._gone_at)
         self._steer(now)
-        if state.time - self._controlled >= self._controller.period - PERIOD / 2 or silent > STATE_SILENT:
+        if (
+            state.time - self._controlled >= self._controller.period - COMMAND_PERIOD / 2
+            or silent > STATE_SILENT
+        ):
             self._controlled = state.time
             self._command = self._step(state)
         out = self._limits.apply(self._command, state)
@@ -283,5 +286,5 @@ class MotorLoop:
         elif phase in (Phase.FAULT, Phase.DAMPED):
             self._rested_at = now if self._rested_at is None else self._rested_at
             self.finished = now - self._rested_at > SOFT_TIME
-        elif self._modes.seated or gone > LEAVING:
+        elif self._modes.seated or gone > LEAVING_TIME:
             self._modes.request(ModeRequest.DAMP)

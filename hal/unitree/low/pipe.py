@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 
-LONGEST = 4096
+LONGEST_WRITE = 4096
 """[bytes] that a pipe takes as a whole or not at all (PIPE_BUF on Linux)."""
 
 
@@ -36,5 +36,5 @@ def write(descriptor: int, line: bytes) -> bool:
     """Write a line to a pipe that does not block. False where it is full, or nobody reads: the next line tells the same
     anew."""
     with contextlib.suppress(BlockingIOError, BrokenPipeError):
-        return os.write(descriptor, line[:LONGEST]) == len(line)
+        return os.write(descriptor, line[:LONGEST_WRITE]) == len(line)
     return False

@@ -23,7 +23,7 @@ from hal.robots.go2w.locomotion.torchfile import PolicyError
 from hal.unitree import idl
 from hal.unitree.api import WireError
 from hal.unitree.link import LOW_STATE, DdsLink
-from hal.unitree.low.loop import PERIOD, SHARES, MotorLoop, Order
+from hal.unitree.low.loop import COMMAND_PERIOD, TOLD_SHARES, MotorLoop, Order
 from hal.unitree.low.pipe import Lines, write
 from hal.unitree.low.wire import LOW_CMD
 
@@ -33,11 +33,11 @@ REPORT_EVERY = 10
 """Ticks between two reports: 50 a second."""
 COLLECT_EVERY = 500
 """Ticks between two runs of Python's collector."""
-PRIORITY = 50
+LOOP_PRIORITY = 50
 """Of the real-time scheduler, where it is permitted."""
-FINE, COUNTED = 5e-5, 400
+CLASS_WIDTH, CLASS_COUNT = 5e-5, 400
 """Width [s] and number of the classes that times between commands are counted in; the last takes all longer ones."""
-LISTEN, OTHERS = 0.3, 10.0
+LISTEN_TIME, OTHERS_TIME = 0.3, 10.0
 """[s] to discover who else sends to the motors, and for the watchdog of a loop that died to end."""
 
 
@@ -93,7 +93,7 @@ def run(loop: MotorLoop, link: DdsLink, watch: subprocess.Popen[bytes]) -> None:
             link.publish(LOW_CMD, message)
             gap = now - last
             gaps.add(gap)
-            late += gap > 2 * PERIOD
+            late += gap > 2 * COMMAND_PERIOD
         last = now
         write(beats, b"t")
         ticks += 1
@@ -104,7 +104,7 @@ def run(loop: MotorLoop, link: DdsLink, watch: subprocess.Popen[bytes]) -> None:
             write(1, report.pack())
         if ticks % COLLECT_EVERY == 0:
             gc.collect(0)
-        due = max(due + PERIOD, now)  # what a busy machine made late is not made up for
+        due = max(due + COMMAND_PERIOD, now)  # what a busy machine made late is not made up for
         time.sleep(max(0.0, due - time.monotonic()))
     write(beats, b"e")
 
@@ -113,25 +113,27 @@ class Gaps:
     """Times between two commands, counted."""
 
     def __init__(self) -> None:
-        self._counts = [0] * COUNTED
+        self._counts = [0] * CLASS_COUNT
         self._number = 0
         self.worst = 0.0
         """[s]"""
 
     def add(self, gap: float) -> None:
         """One of so many seconds."""
-        self._counts[min(int(gap / FINE), COUNTED - 1)] += 1
+        self._counts[min(int(gap / CLASS_WIDTH), CLASS_COUNT - 1)] += 1
         self._number += 1
         self.worst = max(self.worst, gap)
 
     def shares(self) -> tuple[float, float, float]:
-        """What `SHARES` of them do not exceed [s], to `FINE`, and at most the longest."""
+        """What `TOLD_SHARES` of them do not exceed [s], to `CLASS_WIDTH`, and at most the longest."""
         found: list[float] = []
         seen = 0
         for k, count in enumerate(self._counts):
             seen += count
-            while len(found) < len(SHARES) and seen >= SHARES[len(found)] * self._number:
-                found.append(round(min((k + 1) * FINE, self.worst) if k < COUNTED - 1 else self.worst, 5))
+            while len(found) < len(TOLD_SHARES) and seen >= TOLD_SHARES[len(found)] * self._number:
+                found.append(
+                    round(min((k + 1) * CLASS_WIDTH, self.worst) if k < CLASS_COUNT - 1 else self.worst, 5)
+                )
         return found[0], found[1], found[2]
 
 
@@ -152,7 +154,7 @@ def _listen(loop: MotorLoop, link: DdsLink, orders: Lines, now: float) -> None:
 
 def _alone(link: DdsLink) -> None:
     """Until nobody else sends to the motors, such as the watchdog of a loop that died. Raises BackendError."""
-    listened, until = time.monotonic() + LISTEN, time.monotonic() + OTHERS
+    listened, until = time.monotonic() + LISTEN_TIME, time.monotonic() + OTHERS_TIME
     while (others := link.publishers(LOW_CMD) - 1) > 0 or time.monotonic() < listened:
         if time.monotonic() > until:
             raise BackendError(f"{others} other programs send {LOW_CMD}: end them, then recover")
@@ -178,11 +180,11 @@ def _hurry() -> None:
     gc.freeze()
     gc.disable()
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY))
     except PermissionError:
         log.info(
             "no real-time priority: commands come late on a busy machine (LimitRTPRIO=%d permits it)",
-            PRIORITY,
+            LOOP_PRIORITY,
         )
 
 

@@ -1,9 +1,9 @@
 """A process that makes the motors soft when the motor loop beside it dies or hangs.
 
 Motors follow their last LowCmd; what they do when none comes any more is the robot's own affair, and not documented.
-This process hears a beat from the loop with every command. After `SILENCE` without one, or where the pipe ends without
-a word, it kills the loop, so that nobody else speaks to the motors, and sends damping commands of its own over its own
-DDS participant.
+This process hears a beat from the loop with every command. After `LONGEST_SILENCE` without one, or where the pipe ends
+without a word, it kills the loop, so that nobody else speaks to the motors, and sends damping commands of its own over
+its own DDS participant.
 
 Input: any byte is a beat; `e` says that the robot lies soft and the loop ends. Output: `r` once it can send.
 """
@@ -21,12 +21,12 @@ from hal.contract import BackendError
 from hal.postures.motion import damped
 from hal.unitree import idl
 from hal.unitree.link import DdsLink
-from hal.unitree.low.loop import PERIOD
+from hal.unitree.low.loop import COMMAND_PERIOD
 from hal.unitree.low.wire import LOW_CMD, Packer
 
-SILENCE = 0.09
+LONGEST_SILENCE = 0.09
 """[s] without a beat: the loop hangs. Motors are soft within 0.1 s."""
-DAMPING = 5.0
+DAMPING_TIME = 5.0
 """[s] for which damping is sent: a robot sinks onto its belly within two."""
 
 
@@ -57,9 +57,9 @@ def silence(beats: int) -> str:
     proper end."""
     started = False
     while True:
-        readable, _, _ = select.select([beats], [], [], SILENCE if started else None)
+        readable, _, _ = select.select([beats], [], [], LONGEST_SILENCE if started else None)
         if not readable:
-            return f"no command for {SILENCE:.2f} s"
+            return f"no command for {LONGEST_SILENCE:.2f} s"
         data = os.read(beats, 4096)
         if not data:
             return "the motor loop is gone" if started else ""
@@ -69,12 +69,12 @@ def silence(beats: int) -> str:
 
 
 def soften(link: DdsLink) -> None:
-    """Send damping for `DAMPING`."""
+    """Send damping for `DAMPING_TIME`."""
     message = Packer().pack(damped())
-    until = time.monotonic() + DAMPING
+    until = time.monotonic() + DAMPING_TIME
     while time.monotonic() < until:
         link.publish(LOW_CMD, message)
-        time.sleep(PERIOD)
+        time.sleep(COMMAND_PERIOD)
 
 
 if __name__ == "__main__":

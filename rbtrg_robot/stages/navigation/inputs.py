@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from hal.safety.monitors import PLACE_UNSURE
-from hal.safety.touch import FACE
+from hal.safety.touch import FACE_HEIGHT
 from hal.types import FELT_EDGE, NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -69,7 +69,9 @@ class Inputs:
     @property
     def astride(self) -> bool:
         """Whether a face lies under the body, by the guard's map."""
-        return self.limits is not None and min(self.limits.uneven_ahead, self.limits.uneven_behind) > FACE
+        return (
+            self.limits is not None and min(self.limits.uneven_ahead, self.limits.uneven_behind) > FACE_HEIGHT
+        )
 
     @property
     def turn_held(self) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hal.lowlevel import LowState
-from hal.mujoco.attitude import GAIN, AttitudeFilter
+from hal.mujoco.attitude import FILTER_GAIN, AttitudeFilter
 from hal.mujoco.backend import MujocoBackend
 from hal.mujoco.sensors import ACCEL_SIGMA, GYRO_SIGMA, Sensors
 from hal.rotation import rpy_of, up_of
@@ -56,7 +56,7 @@ def test_it_is_mahony_s_filter() -> None:
         filter_.measure(told)
         if k > 0:
             away = np.cross(accel / np.linalg.norm(accel), turned.T @ [0.0, 0.0, 1.0])
-            turned = turned @ exponential(DT * (gyro + GAIN * away))
+            turned = turned @ exponential(DT * (gyro + FILTER_GAIN * away))
         np.testing.assert_allclose(matrix(told.quaternion), turned, atol=2e-3)
 
 
@@ -75,12 +75,12 @@ def test_at_rest_it_settles_where_accelerometer_and_gyro_say() -> None:
         told = sensors.measure(state(k * DT, q, np.zeros(3), G * up))
         away.append(np.cross(up_of(told.quaternion), up))
     mean, spread = np.mean(away, axis=0), np.std(away, axis=0)
-    expected = np.cross(accel_bias / G, up) + (gyro_bias - gyro_bias @ up * up) / GAIN
+    expected = np.cross(accel_bias / G, up) + (gyro_bias - gyro_bias @ up * up) / FILTER_GAIN
     np.testing.assert_allclose(mean, expected, atol=4e-4)
     assert 1e-4 < np.linalg.norm(expected) < 0.02
-    # A first-order filter lets through half of GAIN * DT of the variance of the accelerometer, and integrates that of
-    # the gyro.
-    white = np.sqrt(0.5 * GAIN * DT * (ACCEL_SIGMA / G) ** 2 + 0.5 * DT / GAIN * GYRO_SIGMA**2)
+    # A first-order filter lets through half of FILTER_GAIN * DT of the variance of the accelerometer.
+    # It integrates that of the gyro.
+    white = np.sqrt(0.5 * FILTER_GAIN * DT * (ACCEL_SIGMA / G) ** 2 + 0.5 * DT / FILTER_GAIN * GYRO_SIGMA**2)
     assert spread.max() < 2.0 * white
     assert white < 4e-4
 
@@ -88,7 +88,7 @@ def test_at_rest_it_settles_where_accelerometer_and_gyro_say() -> None:
 @pytest.mark.parametrize("way", [-1.0, 1.0])
 @pytest.mark.parametrize(("push", "least", "most"), [(1.0, 0.3, 0.4), (2.0, 0.6, 0.75), (3.0, 0.9, 1.1)])
 def test_braking_and_driving_off_tilt_it(push: float, least: float, most: float, way: float) -> None:
-    """For 0.3 s; the tilt fades with 1 / GAIN when the push ends."""
+    """For 0.3 s; the tilt fades with 1 / FILTER_GAIN when the push ends."""
     filter_ = AttitudeFilter()
     seen = []
     for k in range(round(4.3 / DT)):
@@ -100,7 +100,7 @@ def test_braking_and_driving_off_tilt_it(push: float, least: float, most: float,
     # Driving off feels like a nose that is up: pitch is positive nose down.
     assert least < -way * pitches[round(0.3 / DT)] < most
     assert np.abs(rolls).max() < 1e-9
-    assert abs(pitches[-1]) == pytest.approx(np.abs(pitches).max() * np.exp(-4.0 * GAIN), rel=0.1)
+    assert abs(pitches[-1]) == pytest.approx(np.abs(pitches).max() * np.exp(-4.0 * FILTER_GAIN), rel=0.1)
 
 
 def test_an_impact_counts_by_its_direction_alone() -> None:
@@ -108,7 +108,7 @@ def test_an_impact_counts_by_its_direction_alone() -> None:
     filter_.measure(state(0.0, LEVEL, np.zeros(3), np.array([0.0, 0.0, G])))
     hit = state(DT, LEVEL, np.zeros(3), np.array([-500.0, 0.0, G]))
     filter_.measure(hit)
-    assert tilts(hit.quaternion)[1] == pytest.approx(np.degrees(GAIN * DT), rel=0.01)
+    assert tilts(hit.quaternion)[1] == pytest.approx(np.degrees(FILTER_GAIN * DT), rel=0.01)
 
 
 def test_the_heading_drifts_by_the_bias_of_the_gyro() -> None:

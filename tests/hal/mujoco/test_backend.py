@@ -536,7 +536,7 @@ def test_what_hides_rays_is_the_body_of_the_robot_that_carries_the_lidar() -> No
 
 
 def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:
-    from hal.mujoco.people import ROOM, People
+    from hal.mujoco.people import LEAST_ROOM, People
 
     first, again, other = People(5, 3), People(5, 3), People(5, 4)
     nearest, places = np.inf, []
@@ -548,7 +548,7 @@ def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:
         places.append([box.centre[:2] for box in boxes])
         nearest = min(nearest, *(np.hypot(x - robot[0], y - robot[1]) for x, y in places[-1]))
     ways = np.linalg.norm(np.diff(np.array(places), axis=0), axis=2)
-    assert nearest >= ROOM - 1e-9
+    assert nearest >= LEAST_ROOM - 1e-9
     assert nearest < 1.5
     assert (np.median(ways, axis=0) > 0.004).all()
 

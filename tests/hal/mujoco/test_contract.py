@@ -10,7 +10,7 @@ import pytest
 
 from hal.mujoco.backend import MujocoBackend
 from hal.robots import describe
-from hal.robots.go2.simulated import RANGE as GO2_RANGE
+from hal.robots.go2.simulated import JOINT_RANGE as GO2_RANGE
 from hal.scenes import Scene
 from hal.types import ModeRequest, Phase
 from tests.hal.contract_suite import ContractSuite, Rig

@@ -158,13 +158,13 @@ def test_a_free_wheel_does_not_spin_past_its_speed_limit() -> None:
     sim = on_flat()
     sim.data.qpos[2] = 3.0
     command = stand_command(go2w.STAND)
-    command.kd[go2w.WHEELS] = 0.0
-    command.tau[go2w.WHEELS] = 5.0
+    command.kd[go2w.WHEEL_JOINTS] = 0.0
+    command.tau[go2w.WHEEL_JOINTS] = 5.0
     sim.apply(command)
     top = 0.0
     for _ in range(100):
         sim.step()
-        top = max(top, float(sim.low_state().dq[go2w.WHEELS].max()))
+        top = max(top, float(sim.low_state().dq[go2w.WHEEL_JOINTS].max()))
     assert 0.95 * go2w.SPEED_LIMIT[12] < top < 1.10 * go2w.SPEED_LIMIT[12]
 
 
@@ -204,8 +204,8 @@ def test_a_push_moves_the_trunk_and_ends() -> None:
 def test_boxes_are_solid_where_they_are_placed() -> None:
     sim = on_flat(boxes=((0.2, 1.0, 0.6),))
     drive = stand_command(sim.low_state().q, kp=150.0)
-    drive.dq[go2w.WHEELS] = 4.0
-    drive.kd[go2w.WHEELS] = 1.0
+    drive.dq[go2w.WHEEL_JOINTS] = 4.0
+    drive.kd[go2w.WHEEL_JOINTS] = 1.0
     sim.place_box(0, (0.65, 0.0, 0.3))
     sim.apply(drive)
     sim.step(400)
@@ -284,18 +284,18 @@ def test_friction_set_later_is_friction_built_in_and_nothing_is_left_of_a_run_be
 def test_wheels_that_roll_cover_their_circumference(speed: float, timestep: float) -> None:
     sim = on_flat(timestep=timestep)
     command = stand_command(go2w.STAND)
-    command.kp[go2w.WHEELS], command.kd[go2w.WHEELS] = 0.0, 5.0
+    command.kp[go2w.WHEEL_JOINTS], command.kd[go2w.WHEEL_JOINTS] = 0.0, 5.0
 
     def roll(seconds: float) -> None:
         for _ in range(round(seconds / timestep)):
-            command.dq[go2w.WHEELS] = speed * min(1.0, sim.time)
+            command.dq[go2w.WHEEL_JOINTS] = speed * min(1.0, sim.time)
             sim.apply(command)
             sim.step()
 
     roll(1.5)
-    start, angle = sim.position[0], sim.low_state().q[go2w.WHEELS].mean()
+    start, angle = sim.position[0], sim.low_state().q[go2w.WHEEL_JOINTS].mean()
     roll(1.0)
     driven = sim.position[0] - start
-    rolled = go2w.WHEEL_RADIUS * (sim.low_state().q[go2w.WHEELS].mean() - angle)
+    rolled = go2w.WHEEL_RADIUS * (sim.low_state().q[go2w.WHEEL_JOINTS].mean() - angle)
     assert abs(rolled) > 0.1
     assert driven / rolled == pytest.approx(1.0, abs=0.01)

@@ -13,7 +13,7 @@ from hal.safety.contact import contact_at
 from hal.safety.swept import (
     LIDAR,
     NO_WALL,
-    SPACING,
+    TRACK_SPACING,
     Body,
     Reach,
     Surroundings,
@@ -47,8 +47,8 @@ def ground(height: NDArray[Any], **layers: Any) -> Surroundings:
 
 
 WAYS = {
-    "ahead": (partial(straight_tracks, 1.0, 1.0), SPACING),
-    "behind": (partial(straight_tracks, 1.0, -1.0), SPACING),
+    "ahead": (partial(straight_tracks, 1.0, 1.0), TRACK_SPACING),
+    "behind": (partial(straight_tracks, 1.0, -1.0), TRACK_SPACING),
     "left": (partial(turn_tracks, 0.6, 1.0), turn_step(BODY)),
     "right": (partial(turn_tracks, 0.6, -1.0), turn_step(BODY)),
 }
@@ -62,7 +62,7 @@ def look(
     contact = contact_at(around, pose, stand, ROBOT)
     found = {}
     for name, (tracks, step) in WAYS.items():
-        straight = step == SPACING
+        straight = step == TRACK_SPACING
         body = BODY if contact is None else contact.between(RES) if straight else contact.body
         there = (around, pose, stand, ROBOT)
         wall = NO_WALL if contact is None else contact.wall

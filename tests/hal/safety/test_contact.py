@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.safety.contact import DEEPEST, NEAR, WALL, contact_at
+from hal.safety.contact import DEEPEST_WALL, NEAR_WALL, WALL_REACH, contact_at
 from hal.safety.swept import (
     CLEAR,
     DROP,
     FACE,
-    NOISE,
-    SPACING,
+    FACE_NOISE,
     SWEEP,
+    TRACK_SPACING,
     Body,
     Stand,
     Surroundings,
@@ -31,7 +31,7 @@ from tests.hal.safety.ground import BODY, FRONT, HIGH, KERB, RES, ROBOT, SIDE, W
 def test_a_robot_that_leans_at_a_wall_may_drive_along_it_and_no_further(side: float, deep: float) -> None:
     beside = np.where(side * Y > SIDE - deep, HIGH, 0.0)
     found = look(ground(beside))
-    assert found["ahead"].free == found["behind"].free == pytest.approx(WALL - FRONT, abs=2 * RES)
+    assert found["ahead"].free == found["behind"].free == pytest.approx(WALL_REACH - FRONT, abs=2 * RES)
     assert max(found["left"].free, found["right"].free) < 0.1, (
         "a corner of its tail or nose would go in deeper"
     )
@@ -48,9 +48,9 @@ def test_a_robot_that_leans_at_a_wall_may_drive_along_it_and_no_further(side: fl
     there = (np.abs(X - 0.7) < 0.05) & (np.abs(side * Y - SIDE + deep) < 0.05)
     assert look(ground(beside, occupied=there))["ahead"].kind == SWEEP
     # Deeper in, something is wrong: it does not move.
-    within = look(ground(np.where(side * Y > SIDE - DEEPEST - 2.0 * RES, HIGH, 0.0)))
+    within = look(ground(np.where(side * Y > SIDE - DEEPEST_WALL - 2.0 * RES, HIGH, 0.0)))
     assert within["ahead"].free == within["behind"].free == 0.0
-    apart = ground(np.where(side * Y > SIDE + NEAR + RES, HIGH, 0.0))
+    apart = ground(np.where(side * Y > SIDE + NEAR_WALL + RES, HIGH, 0.0))
     assert contact_at(apart, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ROBOT) is None
 
 
@@ -60,7 +60,7 @@ def test_the_far_side_of_a_thin_wall_is_not_the_robots_business(side: float) -> 
     wall = np.abs(side * Y - SIDE + 0.08) < 0.5 * RES
     for behind in (-2.0, np.nan):
         found = look(ground(np.where(wall, HIGH, np.where(side * Y > SIDE - 0.08, behind, 0.0))))
-        assert found["ahead"].free == found["behind"].free == pytest.approx(WALL - FRONT, abs=2 * RES)
+        assert found["ahead"].free == found["behind"].free == pytest.approx(WALL_REACH - FRONT, abs=2 * RES)
     ends = np.where(wall & (X > -0.6), HIGH, np.where(side * Y > SIDE - 0.08, -2.0, 0.0))
     found = look(ground(ends))["behind"]
     assert (found.kind, found.free) == (DROP, pytest.approx(0.6 - FRONT, abs=2 * RES))
@@ -120,7 +120,7 @@ def test_no_way_that_is_free_leads_deeper_into_a_wall(seed: int) -> None:
         height = np.where(toward[0] * u + toward[1] * v > off, HIGH, rng.uniform(0.0, 0.02, X.shape))
         for name, found in look(ground(height), (0.0, 0.0, yaw)).items():
             step = WAYS[name][1]
-            ways = np.arange(0.0, max(0.0, found.free - 0.03 * step / SPACING) + 1e-9, step)
+            ways = np.arange(0.0, max(0.0, found.free - 0.03 * step / TRACK_SPACING) + 1e-9, step)
             if len(ways) > 1:
                 deepest = max(depth(name, way, toward, off) for way in ways)
                 assert deepest < max(now, 0.0) + 2.0 * RES
@@ -147,7 +147,7 @@ def test_what_stands_in_the_way_is_seen_beside_a_wall_as_well(seed: int) -> None
         deep, side = rng.uniform(0.0, 0.10), rng.choice([-1.0, 1.0])
         beside = np.where(side * Y > SIDE - deep, HIGH, 0.0)
         middle = side * rng.uniform(-SIDE - 0.1, SIDE - deep - 0.15 - 3 * RES)
-        x = rng.choice([-1.0, 1.0]) * rng.uniform(FRONT + 0.25, WALL)
+        x = rng.choice([-1.0, 1.0]) * rng.uniform(FRONT + 0.25, WALL_REACH)
         box = (np.abs(X - x) < 0.15) & (np.abs(Y - middle) < 0.15)
         found = look(ground(np.where(box, HIGH, beside)))["ahead" if x > 0.0 else "behind"]
         assert found.kind == FACE
@@ -185,7 +185,7 @@ def contact_oracle(
 ) -> tuple[Body, tuple[bool, bool], NDArray[np.bool_]]:
     """What of the body is in no wall, whether walls are along its sides, and the cells of those walls: the same rules,
     written for reading."""
-    limit = ROBOT.max_step + NOISE
+    limit = ROBOT.max_step + FACE_NOISE
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = X - pose[0], Y - pose[1]
     u, v = c * dx + s * dy, c * dy - s * dx
@@ -195,9 +195,14 @@ def contact_oracle(
     shifts = [(a, b) for a in range(-2, 3) for b in range(-2, 3)]
     lowest = np.nanmin([np.roll(around.height, shift, (0, 1)) for shift in shifts], axis=0)
     face = around.height - lowest > limit + 2.0 * RES * math.tan(ROBOT.max_slope)
-    inside = (above > limit) & face & (np.minimum(long, wide) > -NEAR) & (np.minimum(long, wide) <= DEEPEST)
-    corner = np.maximum(long, wide) <= DEEPEST
-    ends = dict(zip(Body._fields, BODY.grown(NEAR), strict=True))
+    inside = (
+        (above > limit)
+        & face
+        & (np.minimum(long, wide) > -NEAR_WALL)
+        & (np.minimum(long, wide) <= DEEPEST_WALL)
+    )
+    corner = np.maximum(long, wide) <= DEEPEST_WALL
+    ends = dict(zip(Body._fields, BODY.grown(NEAR_WALL), strict=True))
     for now in (inside & ~corner, inside & corner):
         for r, k in np.argwhere(now):
             end, edge = ("front" if u[r, k] > 0.0 else "back"), ("left" if v[r, k] > 0.0 else "right")
@@ -208,12 +213,14 @@ def contact_oracle(
             ends[end if at_end else edge] -= more[0] if at_end else more[1]
     shifts = [(a, b) for a, b in shifts if max(abs(a), abs(b)) < 2]
     highest = np.nanmax([np.roll(around.height, shift, (0, 1)) for shift in shifts], axis=0)
-    walls = (above > 0.5 * limit) & (highest - around.height + above > limit) & (np.hypot(dx, dy) <= WALL)
+    walls = (
+        (above > 0.5 * limit) & (highest - around.height + above > limit) & (np.hypot(dx, dy) <= WALL_REACH)
+    )
     wall, size = inside, -1
     while size != wall.sum():
         size = wall.sum()
         grown = np.any([np.roll(wall, (a, b), (0, 1)) for a in range(-2, 3) for b in range(-2, 3)], axis=0)
         wall = wall | (grown & walls)
-    sides = [u[inside & (wide <= DEEPEST) & (edge * v > 0.0)] for edge in (1.0, -1.0)]
+    sides = [u[inside & (wide <= DEEPEST_WALL) & (edge * v > 0.0)] for edge in (1.0, -1.0)]
     left, right = (min(at.max(initial=0.0), -at.min(initial=0.0)) > FRONT / 2 for at in sides)
     return Body(**ends), (left, right), wall

@@ -12,7 +12,7 @@ from hal.safety.planned import free_turn, known_behind, mapped
 from hal.safety.swept import (
     CLEAR,
     FLAT,
-    SPACING,
+    TRACK_SPACING,
     UNSEEN,
     reach_of,
     straight_tracks,
@@ -28,7 +28,7 @@ def test_of_ground_behind() -> None:
         height = np.where(rng.random((N, N)) < rng.uniform(0.0, 0.8), np.nan, 0.0).astype(np.float32)
         pose = (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
         tracks = straight_tracks(1.0, -1.0, BODY)
-        found = reach_of(tracks, SPACING, ground(height), pose, FLAT, ROBOT, seen=True)
+        found = reach_of(tracks, TRACK_SPACING, ground(height), pose, FLAT, ROBOT, seen=True)
         told = known_behind(mapped(height, CORNER, RES), pose, BODY, ROBOT.max_gap, 0.4)
         assert found.kind in (UNSEEN, CLEAR)
         assert told == pytest.approx(min(found.free, 0.4))

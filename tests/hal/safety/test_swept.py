@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 
 from hal.robots.go2w.facts import BODY_LENGTH, BODY_WIDTH
 from hal.safety.swept import (
-    BEFORE,
     CLEAR,
     DROP,
     FACE,
+    FACE_NOISE,
+    FACE_SAMPLES,
     GAP,
     HOLE,
     LIDAR,
-    NOISE,
     PLANTS,
-    SPACING,
+    SAMPLES_BEFORE,
     SWEEP,
+    TRACK_SPACING,
     UNSEEN,
     WHEELS,
-    WITHIN,
     Body,
     Stand,
     Surroundings,
@@ -52,15 +52,19 @@ def test_tracks_begin_under_the_body_and_lead_away_from_it() -> None:
         turn_tracks(0.6, -1.0, BODY),
     ):
         inside = (np.abs(tracks[:, :, 0]) < FRONT - 1e-9) & (np.abs(tracks[:, :, 1]) < SIDE + 1e-9)
-        assert inside[:, :BEFORE].all()
-        rim = np.isclose(np.abs(tracks[:, BEFORE, 0]), FRONT) | np.isclose(np.abs(tracks[:, BEFORE, 1]), SIDE)
+        assert inside[:, :SAMPLES_BEFORE].all()
+        rim = np.isclose(np.abs(tracks[:, SAMPLES_BEFORE, 0]), FRONT) | np.isclose(
+            np.abs(tracks[:, SAMPLES_BEFORE, 1]), SIDE
+        )
         assert rim.all()
-        assert (np.hypot(*np.diff(tracks[:, BEFORE:], axis=1).transpose(2, 0, 1)) < SPACING + 1e-9).all()
+        assert (
+            np.hypot(*np.diff(tracks[:, SAMPLES_BEFORE:], axis=1).transpose(2, 0, 1)) < TRACK_SPACING + 1e-9
+        ).all()
 
 
 @pytest.mark.parametrize("turn", [-1.0, 1.0])
 def test_the_tracks_of_a_turn_cover_what_the_body_sweeps(turn: float) -> None:
-    tracks = turn_tracks(0.6, turn, BODY)[:, BEFORE:].reshape(-1, 2)
+    tracks = turn_tracks(0.6, turn, BODY)[:, SAMPLES_BEFORE:].reshape(-1, 2)
     rng = np.random.default_rng(3)
     points = rng.uniform(-0.5, 0.5, (4000, 2))
 
@@ -71,7 +75,7 @@ def test_the_tracks_of_a_turn_cover_what_the_body_sweeps(turn: float) -> None:
 
     swept = np.any([within(turn * a) for a in np.linspace(0.0, 0.6, 61)], axis=0) & ~within(0.0)
     near = np.hypot(*(points[swept, None] - tracks[None]).transpose(2, 0, 1)).min(axis=1)
-    assert near.max() < SPACING
+    assert near.max() < TRACK_SPACING
 
 
 @pytest.mark.parametrize("rise", [HIGH, -HIGH, 0.16, -0.16])
@@ -253,7 +257,7 @@ def oracle(
 ) -> tuple[int, int]:
     """The same rules, written for reading: (sample, kind) of the first obstacle on any track. `edges`: gap and
     blind."""
-    limit, rise = ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING
+    limit, rise = ROBOT.max_step + FACE_NOISE, math.tan(ROBOT.max_slope) * TRACK_SPACING
     x, y, yaw = pose
     rows, cols = around.height.shape
     best = (tracks.shape[2], CLEAR)
@@ -291,14 +295,14 @@ def _walk(
     blind: int,
 ) -> list[tuple[int, int]]:
     stood: list[tuple[int, float]] = []  # samples the robot would stand on, with their heights
-    sure = [BEFORE]  # samples that the map knows
+    sure = [SAMPLES_BEFORE]  # samples that the map knows
     ends = [(len(known), CLEAR)]
     last, i, level = 0, 0, float(plane[0])
     rim, over = math.nan, -1
     while i < len(known):
-        if busy[i] and i > BEFORE:
+        if busy[i] and i > SAMPLES_BEFORE:
             return [*ends, (i, SWEEP)]
-        if source[i] == HOLE and i > BEFORE and not walled[i]:
+        if source[i] == HOLE and i > SAMPLES_BEFORE and not walled[i]:
             return [(min(i, max(sure) + 1), GAP), *ends]
         if walled[i]:
             sure.append(i)
@@ -314,16 +318,16 @@ def _walk(
         changes = [0.0]
         if not math.isnan(level):
             change = told(height - level, spread[i] + spread[last], limit)
-            far = rise * max(0, i - last - WITHIN // 2)
+            far = rise * max(0, i - last - FACE_SAMPLES // 2)
             changes.append(max(0.0, change - far) if change > 0.0 and source[i] != WHEELS else change)
             changes += [
-                told(shrunk(height - h, rise * WITHIN / 2), spread[i] + spread[j], limit)
+                told(shrunk(height - h, rise * FACE_SAMPLES / 2), spread[i] + spread[j], limit)
                 for j, h in stood
-                if i - WITHIN <= j and j < last
+                if i - FACE_SAMPLES <= j and j < last
             ]
         worst = max(changes, key=abs)
         far_rim = i <= over and abs(height - rim) <= limit
-        far_rim |= i <= BEFORE and abs(height - plane[i]) <= limit
+        far_rim |= i <= SAMPLES_BEFORE and abs(height - plane[i]) <= limit
         if worst > limit and far_rim:
             last, level = i, height
             stood = [(last, level)]
@@ -333,7 +337,7 @@ def _walk(
         if worst < -limit and source[i] != WHEELS and not math.isnan(level):
             rim, over = level, last + gap + 1
         if abs(worst) > limit:
-            if i <= BEFORE or source[i] == WHEELS:
+            if i <= SAMPLES_BEFORE or source[i] == WHEELS:
                 sure.append(i)
                 i += 1
                 continue
@@ -344,7 +348,9 @@ def _walk(
                 for j in range(i + 1, min(len(known), last + gap + 2))
                 if source[j] != WHEELS
                 and not walled[j]
-                and not any(source[m] == HOLE and m > BEFORE and not walled[m] for m in range(i + 1, j + 1))
+                and not any(
+                    source[m] == HOLE and m > SAMPLES_BEFORE and not walled[m] for m in range(i + 1, j + 1)
+                )
                 and not math.isnan(known[j])
                 and abs(known[j] - level) <= limit
             ]
@@ -415,7 +421,7 @@ def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> Non
         pose = (float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3.0, 3.0)))
         tilt = rng.uniform(-0.3, 0.3, 2)
         stand = stand_of(around, pose, np.array([*tilt, math.sqrt(1.0 - tilt @ tilt)]), BODY)
-        gap = math.ceil((ROBOT.max_gap + RES) / SPACING)
+        gap = math.ceil((ROBOT.max_gap + RES) / TRACK_SPACING)
         wall = (rng.random(X.shape) < rng.choice([0.0, 0.1])).astype(np.uint8)
         body = Body(*(BODY - rng.choice([0.0, 0.05], 4)))
         for tracks, blind in (
@@ -426,7 +432,7 @@ def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> Non
             sample, kind, _ = nearest_obstacle(
                 *(tracks, around.height, around.bound, around.source, around.occupied, around.variance, wall),
                 *(*around.origin, RES, *pose, stand),
-                *(ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING, gap, blind),
+                *(ROBOT.max_step + FACE_NOISE, math.tan(ROBOT.max_slope) * TRACK_SPACING, gap, blind),
             )
             assert (sample, kind) == oracle(tracks, around, pose, stand, wall, gap, blind)
             kinds.add(kind)
@@ -453,8 +459,8 @@ def test_a_cell_is_occupied_by_enough_points_that_stand_on_its_ground() -> None:
 def test_the_way_to_leaves_is_that_of_the_first_sample_over_them(yaw: float) -> None:
     rng = np.random.default_rng(3)
     for tracks, step in (
-        (straight_tracks(1.0, 1.0, BODY), SPACING),
-        (straight_tracks(1.0, -1.0, BODY), SPACING),
+        (straight_tracks(1.0, 1.0, BODY), TRACK_SPACING),
+        (straight_tracks(1.0, -1.0, BODY), TRACK_SPACING),
         (turn_tracks(0.6, 1.0, BODY), 0.05),
     ):
         for share in (0.0, 0.002, 0.02):
@@ -465,7 +471,7 @@ def test_the_way_to_leaves_is_that_of_the_first_sample_over_them(yaw: float) -> 
             for k, i in np.ndindex(*tracks.shape[:2]):
                 if leaves_at(source, pose, *tracks[k, i]):
                     first = min(first, i)
-            want = max(0.0, (first - BEFORE) * step) if first < tracks.shape[1] else math.inf
+            want = max(0.0, (first - SAMPLES_BEFORE) * step) if first < tracks.shape[1] else math.inf
             if any(leaves_at(source, pose, u, v) for u, v in under(BODY)[:, 0]):
                 want = 0.0
             assert leaves_on(tracks, step, around, pose, BODY) == pytest.approx(want)
@@ -482,10 +488,12 @@ def leaves_at(source: np.ndarray, pose: tuple[float, float, float], u: float, v:
 def test_a_robot_with_its_rear_in_leaves_goes_no_faster_than_one_with_its_front_in_them() -> None:
     np.testing.assert_allclose(under(BODY)[:, 0].max(axis=0), (FRONT, SIDE))
     np.testing.assert_allclose(under(BODY)[:, 0].min(axis=0), (-FRONT, -SIDE))
-    assert len(under(BODY)) > BODY_LENGTH * BODY_WIDTH / SPACING**2
+    assert len(under(BODY)) > BODY_LENGTH * BODY_WIDTH / TRACK_SPACING**2
     source = np.full((N, N), LIDAR, np.uint8)
     _, x = np.mgrid[0:N, 0:N] * RES
     source[x + CORNER[0] < -0.2] = PLANTS
     around = ground(np.zeros((N, N)), source=source)
-    assert leaves_on(straight_tracks(1.0, 1.0, BODY), SPACING, around, (0.0, 0.0, 0.0), BODY) == 0.0
-    assert leaves_on(straight_tracks(1.0, 1.0, BODY), SPACING, around, (0.25, 0.0, 0.0), BODY) == math.inf
+    assert leaves_on(straight_tracks(1.0, 1.0, BODY), TRACK_SPACING, around, (0.0, 0.0, 0.0), BODY) == 0.0
+    assert (
+        leaves_on(straight_tracks(1.0, 1.0, BODY), TRACK_SPACING, around, (0.25, 0.0, 0.0), BODY) == math.inf
+    )

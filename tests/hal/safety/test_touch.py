@@ -20,7 +20,7 @@ from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import taken_out
 from hal.safety.swept import LIDAR, TOUCHED, Surroundings
-from hal.safety.touch import CELLS, FACE, Touch, TouchWatch, near_body, uneven
+from hal.safety.touch import FACE_HEIGHT, LEAST_CELLS, Touch, TouchWatch, near_body, uneven
 from hal.types import GRAVITY, NS, ImuSample, JointSample
 from tests.hal.safety.ground import BODY
 
@@ -284,10 +284,10 @@ def test_stairs_come_up_to_the_nose_of_a_robot_on_them(riser: float, tread: floa
 
 def test_noise_of_a_cell_and_what_was_touched_explain_nothing() -> None:
     one = around(lambda x, y: 0.3 * ((np.abs(x - 0.4) < 0.01) & (np.abs(y) < 0.03)))
-    assert 0 < np.count_nonzero(one.height) < CELLS
-    assert uneven(one, (0.0, 0.0, 0.0), BODY)[0] < FACE
+    assert 0 < np.count_nonzero(one.height) < LEAST_CELLS
+    assert uneven(one, (0.0, 0.0, 0.0), BODY)[0] < FACE_HEIGHT
     pane = around(lambda x, _: 0.6 * ((x > 0.35) & (x < 0.45)), TOUCHED)
-    assert uneven(pane, (0.0, 0.0, 0.0), BODY)[0] < FACE
+    assert uneven(pane, (0.0, 0.0, 0.0), BODY)[0] < FACE_HEIGHT
 
 
 def test_a_map_that_knows_nothing_explains_nothing() -> None:
@@ -296,4 +296,4 @@ def test_a_map_that_knows_nothing_explains_nothing() -> None:
 
 def test_a_wall_beside_the_body_explains_a_held_wheel() -> None:
     wall = uneven(around(lambda _, y: 0.6 * (np.abs(y - 0.24) < 0.021)), (0.0, 0.0, 0.0), BODY)[0]
-    assert wall > FACE
+    assert wall > FACE_HEIGHT

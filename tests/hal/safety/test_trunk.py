@@ -10,7 +10,7 @@ import pytest
 
 from hal.safety.gate import RefusalReason, SafetyGate
 from hal.safety.gate_types import GateInputs
-from hal.safety.trunk import LAG, STANDS, TILT_RATE
+from hal.safety.trunk import LEVEL_LAG, STANDING_TIME, TILT_RATE
 from hal.types import NS, PostureCommand, VelocityCommand
 from tests.hal.safety.test_gate import CAPS, MS, TICK, well
 
@@ -98,7 +98,7 @@ def test_a_velocity_levels_it_first(tilted: Rig) -> None:
     level = np.array(pitches) == 0.0
     assert driving.any()
     assert not (driving & ~level).any()
-    way = DOWN / TILT_RATE + LAG
+    way = DOWN / TILT_RATE + LEVEL_LAG
     assert 0.02 * np.argmax(driving) == pytest.approx(way, abs=0.03)
     assert set(tilted.run(0.5)) == {0.0}, "the tilt that is still commanded is refused"
     assert tilted.gate.status().refused[RefusalReason.NOT_STANDING.value] > 0
@@ -110,7 +110,7 @@ def test_it_is_refused_until_the_robot_has_stood() -> None:
     rig.run(1.0)
     rig.vx, rig.pitch = 0.0, DOWN
     pitches = rig.run(1.0)
-    assert 0.02 * np.argmax(np.array(pitches) > 0.0) == pytest.approx(STANDS, abs=0.03)
+    assert 0.02 * np.argmax(np.array(pitches) > 0.0) == pytest.approx(STANDING_TIME, abs=0.03)
 
 
 @pytest.mark.parametrize(

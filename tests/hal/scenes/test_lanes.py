@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from hal.robots import describe
 from hal.scenes import SceneError, load_scene
-from hal.scenes.elements import BAR, MAPS, PIT, TRACK
-from hal.scenes.lanes import LAYOUTS, RESOLUTION, WALL_HEIGHT, Lane, lane, named
+from hal.scenes.elements import BAR_WIDTH, MAPS, PIT_DEPTH, TRACK_WIDTH
+from hal.scenes.lanes import GRID_RESOLUTION, LAYOUTS, WALL_HEIGHT, Lane, lane, named
 from hal.scenes.shortest import shortest
 
 BODY = (0.35, 0.215)
@@ -24,7 +24,7 @@ CONTROLLER = st.sampled_from(["vmc", "policy"])
 
 def z(one: Lane, points: np.ndarray) -> np.ndarray:
     """Heights at (..., 2) points, nearest cell."""
-    cell = np.round((points - one.scene.origin) / RESOLUTION).astype(int)
+    cell = np.round((points - one.scene.origin) / GRID_RESOLUTION).astype(int)
     return one.scene.height[cell[..., 1], cell[..., 0]].astype(float)
 
 
@@ -97,20 +97,20 @@ def test_up_to_level_4_a_body_can_drive_the_way_within_the_capabilities(seed, le
             assert np.ptp(z(one, ring)) < 0.02, "turns are on level ground"
     # Under each wheel: no face above the robot's, no gap wider than it crosses; trunk and housings between stay off the
     # ground.
-    for across in (-0.5 * TRACK, 0.5 * TRACK):
+    for across in (-0.5 * TRACK_WIDTH, 0.5 * TRACK_WIDTH):
         track = z(one, placed(line, np.array(0.0), np.array(across)))
-        floor = track > 0.5 * PIT
+        floor = track > 0.5 * PIT_DEPTH
         assert np.abs(np.diff(track[floor])).max() <= able.max_step + 0.02
         edges = np.flatnonzero(np.diff(np.concatenate([[True], floor, [True]]).astype(int)))
         assert all(
             0.02 * (b - a) <= able.max_gap + 0.021 for a, b in zip(edges[::2], edges[1::2], strict=True)
         )
     # The plane under the wheels is no steeper than the robot may stand.
-    wheels = placed(line, np.array([0.21, 0.21, -0.21, -0.21]), TRACK / 2 * np.array([1, -1, 1, -1]))
+    wheels = placed(line, np.array([0.21, 0.21, -0.21, -0.21]), TRACK_WIDTH / 2 * np.array([1, -1, 1, -1]))
     height = z(one, wheels)
-    height = np.where(height < 0.5 * PIT, 0.0, height)
+    height = np.where(height < 0.5 * PIT_DEPTH, 0.0, height)
     pitch = (height[:, :2].mean(1) - height[:, 2:].mean(1)) / 0.42
-    roll = (height[:, ::2].mean(1) - height[:, 1::2].mean(1)) / TRACK
+    roll = (height[:, ::2].mean(1) - height[:, 1::2].mean(1)) / TRACK_WIDTH
     assert np.arctan(np.hypot(pitch, roll)).max() <= able.max_slope
 
 
@@ -131,7 +131,7 @@ def test_level_5_has_one_element_beyond_the_capabilities_across_every_way(seed, 
     profile = z(one, points)
     step = np.abs(np.diff(profile)).max()
     slope = np.abs(profile[20:] - profile[:-20]).max() / 0.4
-    gap = 0.02 * (profile < 0.5 * PIT).sum()
+    gap = 0.02 * (profile < 0.5 * PIT_DEPTH).sum()
     beyond = [step / able.max_step, slope / np.tan(able.max_slope), gap / able.max_gap]
     assert max(beyond) > 1.4
 
@@ -167,7 +167,7 @@ def test_a_harder_level_has_higher_bars() -> None:
     assert tops == sorted(tops)
     assert 0.02 < tops[0] < 0.06
     assert 0.08 < tops[3] < 0.11
-    assert BAR == 0.10
+    assert BAR_WIDTH == 0.10
 
 
 def test_lanes_have_names_with_options() -> None:

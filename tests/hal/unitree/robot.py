@@ -28,12 +28,12 @@ from hal.unitree.layout import (
     low_state_checksum,
 )
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE
-from hal.unitree.motion import GO2W
+from hal.unitree.motion import GO2W_WHEELS
 
 HOLD = 1.0
 """[s] the last Move is kept."""
 LOW_STATE_PERIOD = NS // 500
-BESIDE = GO2W.half_track * np.array([1.0, -1.0, 1.0, -1.0])
+BESIDE = GO2W_WHEELS.half_track * np.array([1.0, -1.0, 1.0, -1.0])
 """Of the wheels, to the left [m]."""
 
 
@@ -183,7 +183,7 @@ class KinematicBody:
         self.yaw += self.wz * dt
         self.accel[0], self.gyro[2] = dv / dt, self.wz
         if self._wheeled:
-            self.dq[12:] = (self.v + self.wz * BESIDE) / GO2W.radius
+            self.dq[12:] = (self.v + self.wz * BESIDE) / GO2W_WHEELS.radius
             self.q[12:] += self.dq[12:] * dt
 
     def scan(self) -> np.ndarray | None:

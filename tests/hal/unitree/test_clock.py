@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP, taken_out
 from hal.types import NS
-from hal.unitree.clock import ON_TIME, SUPPORT, RemoteClock
+from hal.unitree.clock import ON_TIME, SUPPORT_COUNT, RemoteClock
 
 HOST = 1_700_000_000 * NS
 MS = NS // 1000
@@ -75,7 +75,7 @@ def test_the_first_messages_may_be_late(late: int) -> None:
     clock = RemoteClock()
     errors = [hear(clock, HOST + k * 100 * MS, 600 * MS if k < late else MS) for k in range(late + 10)]
     refused = [e for e in errors[late:] if e is None]
-    assert len(refused) < SUPPORT
+    assert len(refused) < SUPPORT_COUNT
     assert errors[-1] == pytest.approx(0.001, abs=0.0001)
 
 
@@ -86,9 +86,9 @@ def test_one_wrong_stamp_changes_nothing(ahead: float, at: int) -> None:
     for k in range(60):
         base = round(ahead * NS) if k == at else 0
         younger = hear(clock, HOST + k * 100 * MS, MS, base, gap=50 * MS)
-        if k == at > SUPPORT and abs(ahead) > 0.1:
+        if k == at > SUPPORT_COUNT and abs(ahead) > 0.1:
             assert younger is None
-        elif k > at + SUPPORT + 1:
+        elif k > at + SUPPORT_COUNT + 1:
             assert younger == pytest.approx(0.001, abs=0.0001)
     assert clock.steps == 0
 
@@ -101,7 +101,7 @@ def test_a_step_of_the_clock_is_followed_named_and_never_makes_a_sample_younger(
         base = round(step * NS) if k >= 50 else 0
         errors.append(hear(clock, HOST + k * 100 * MS, MS, base, gap=50 * MS))
     assert all(e is not None for e in errors[:50])
-    assert sum(e is None for e in errors[50:]) <= SUPPORT
+    assert sum(e is None for e in errors[50:]) <= SUPPORT_COUNT
     assert all(e is None or abs(e - 0.001) < 0.0001 for e in errors[50:])
     assert clock.steps == 1
     assert clock.step / NS == pytest.approx(step, abs=0.002)

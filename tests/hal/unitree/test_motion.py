@@ -12,19 +12,28 @@ from hypothesis import strategies as st
 from hal.robots.go2w import facts as go2w
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import ROLLS_ON, taken_out
-from hal.safety.slope import CREEP, SLOPE
+from hal.safety.slope import CREEP_SLOPE, CREEP_SPEED
 from hal.types import ModeRequest, Phase
 from hal.unitree import api, motion
 from hal.unitree.api import Response, Sport
 from hal.unitree.guardian import Order
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR, SPORT_MODE_STATE_CDR
 from hal.unitree.link import LOW_STATE, SPORT_STATE
-from hal.unitree.motion import FASTEST, GO2W, INSIST, PATIENCE, STEEPEST, WAY, Halt, Motion
+from hal.unitree.motion import (
+    DAMP_PATIENCE,
+    FASTEST_DAMP,
+    GO2W_WHEELS,
+    INSIST_TIME,
+    ROLLING_WAY,
+    STEEPEST_DAMP,
+    Halt,
+    Motion,
+)
 from hal.unitree.sentry import Sentry
 from tests.hal.unitree.robot import Faults
 from tests.hal.unitree.world import World
 
-BESIDE = motion.GO2W.half_track * np.array([1.0, -1.0, 1.0, -1.0])
+BESIDE = motion.GO2W_WHEELS.half_track * np.array([1.0, -1.0, 1.0, -1.0])
 """[m] of the wheels FR, FL, RR, RL to the right."""
 
 
@@ -80,9 +89,9 @@ class Rolling:
 
 
 def test_the_wheels_are_those_of_the_robot() -> None:
-    assert motion.WHEELS == go2w.WHEELS
-    assert motion.GO2W.radius == go2w.WHEEL_RADIUS
-    assert pytest.approx(go2w.HIP_Y + go2w.THIGH_Y + go2w.TREAD_Y, abs=1e-3) == motion.GO2W.half_track
+    assert motion.WHEEL_SLOTS == go2w.WHEEL_JOINTS
+    assert motion.GO2W_WHEELS.radius == go2w.WHEEL_RADIUS
+    assert pytest.approx(go2w.HIP_Y + go2w.THIGH_Y + go2w.TREAD_Y, abs=1e-3) == motion.GO2W_WHEELS.half_track
 
 
 def test_a_robot_on_feet_is_judged_by_its_own_estimate_and_gyro() -> None:
@@ -123,7 +132,7 @@ def test_slope_and_downhill_are_gravitys(roll: float, pitch: float, speed: float
     moves.hear_low(sample[0], 1.0)
     assert moves.slope == pytest.approx(math.acos(turned[2, 2]), abs=1e-3)
     falls = speed * turned[2, 0] < 0.0  # the height that a step ahead brings
-    if moves.slope > 1.1 * SLOPE and abs(turned[2, 0]) > 1e-3:
+    if moves.slope > 1.1 * CREEP_SLOPE and abs(turned[2, 0]) > 1e-3:
         assert moves.downhill == falls
 
 
@@ -135,7 +144,7 @@ def test_a_robot_that_answers_and_rolls_on_is_told_again_and_made_soft(speed: fl
     robot.halt.answered()
     began = robot.now
     robot.run(10.0, speed)
-    assert robot.soft - began == pytest.approx(max(PATIENCE, WAY / abs(speed)), abs=0.1)
+    assert robot.soft - began == pytest.approx(max(DAMP_PATIENCE, ROLLING_WAY / abs(speed)), abs=0.1)
     told = [at for at, order in robot.sent if order is Sport.STOP_MOVE]
     assert np.diff(told).max() < 0.15
     assert f"{abs(speed):.2f} m/s" in robot.halt.damped
@@ -154,14 +163,14 @@ def test_without_the_monitor_the_answer_counts() -> None:
 @pytest.mark.parametrize(
     ("speed", "pitch", "soft"),
     [
-        (FASTEST + 0.1, 0.0, False),  # it could go head over heels
-        (0.5, STEEPEST + 0.02, False),  # it would slide on
-        (0.5, -STEEPEST - 0.02, False),
+        (FASTEST_DAMP + 0.1, 0.0, False),  # it could go head over heels
+        (0.5, STEEPEST_DAMP + 0.02, False),  # it would slide on
+        (0.5, -STEEPEST_DAMP - 0.02, False),
         (0.5, 0.15, True),
-        (CREEP - 0.1, 0.15, False),  # nose down, forward: it creeps downhill
-        (-CREEP + 0.1, -0.15, False),  # nose up, backward
-        (-CREEP + 0.1, 0.15, True),  # uphill: a motor does that
-        (CREEP - 0.1, 0.02, True),
+        (CREEP_SPEED - 0.1, 0.15, False),  # nose down, forward: it creeps downhill
+        (-CREEP_SPEED + 0.1, -0.15, False),  # nose up, backward
+        (-CREEP_SPEED + 0.1, 0.15, True),  # uphill: a motor does that
+        (CREEP_SPEED - 0.1, 0.02, True),
     ],
 )
 def test_speed_and_slope_decide_whether_damp_is_safer(speed: float, pitch: float, soft: bool) -> None:
@@ -238,7 +247,7 @@ def test_damp_is_insisted_on_where_the_motion_falls_silent() -> None:
         order = robot.halt.due(robot.now, robot.motion)
         if order is not None:
             robot.sent.append((robot.now, order))
-    assert robot.sent[-1][0] - robot.sent[0][0] == pytest.approx(INSIST, abs=0.1)
+    assert robot.sent[-1][0] - robot.sent[0][0] == pytest.approx(INSIST_TIME, abs=0.1)
     assert {order for _, order in robot.sent} == {Sport.DAMP}
     assert robot.halt.order is None, "not for ever"
 
@@ -330,7 +339,7 @@ class Wire:
 @pytest.mark.parametrize("speed", [0.1, 0.5])
 def test_the_watches_insist_on_rest_too(who: str, speed: float) -> None:
     wire = Wire(speed)
-    order, now = Order(wire, avoid=False, wheels=GO2W), 100.0  # type: ignore[arg-type]
+    order, now = Order(wire, avoid=False, wheels=GO2W_WHEELS), 100.0  # type: ignore[arg-type]
     sentry = Sentry(order)
     for _ in range(50):
         order.pump(now)
@@ -359,7 +368,7 @@ def test_a_lowstate_that_repeats_itself_tells_no_rest() -> None:
     wire.take = lambda topic: [
         CDR_HEADER + (low(0.0, tick=7) if topic == LOW_STATE else sport(0.0, 7)).tobytes()
     ]  # type: ignore[method-assign]
-    order = Order(wire, avoid=False, wheels=GO2W)  # type: ignore[arg-type]
+    order = Order(wire, avoid=False, wheels=GO2W_WHEELS)  # type: ignore[arg-type]
     order.pump(0.0)
     order.give(Sport.STOP_MOVE, 2.0)
     assert order.pump(2.0)

@@ -16,9 +16,9 @@ import pytest
 
 from hal.unitree import api, guardian
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
-from hal.unitree.guardian import SILENCE, Guardian, Order, watch
+from hal.unitree.guardian import LONGEST_SILENCE, Guardian, Order, watch
 from hal.unitree.layout import CDR_HEADER
-from hal.unitree.motion import GO2W, INSIST
+from hal.unitree.motion import GO2W_WHEELS, INSIST_TIME
 from hal.unitree.sentry import Sentry, run
 from tests.hal.unitree.test_motion import low as low_state
 
@@ -55,7 +55,7 @@ def link() -> Link:
 
 @pytest.fixture
 def sentry(link: Link) -> Sentry:
-    return Sentry(Order(link, avoid=False, wheels=GO2W))
+    return Sentry(Order(link, avoid=False, wheels=GO2W_WHEELS))
 
 
 def test_silent_while_moves_come_and_after_a_stop(sentry: Sentry, link: Link) -> None:
@@ -84,12 +84,12 @@ def test_what_another_program_asks_the_sport_service_ends_no_move(
 
 def test_stops_the_robot_when_moves_cease_and_insists_until_confirmed(sentry: Sentry, link: Link) -> None:
     sentry.step(1.0, [move(-0.2)])
-    sentry.step(1.0 + 0.9 * SILENCE, [])
+    sentry.step(1.0 + 0.9 * LONGEST_SILENCE, [])
     assert link.sent == []
-    sentry.step(1.0 + 1.1 * SILENCE, [])
+    sentry.step(1.0 + 1.1 * LONGEST_SILENCE, [])
     assert [(s, r.api) for s, r in link.sent] == [(api.SPORT, Sport.STOP_MOVE)]
     link.answers.append(Response(link.sent[0][1].id, Sport.STOP_MOVE, 0))
-    sentry.step(1.0 + INSIST, [])
+    sentry.step(1.0 + INSIST_TIME, [])
     assert len(link.sent) == 1
 
 
@@ -139,7 +139,7 @@ def test_a_guardian_whose_driver_dies_as_it_gives_its_sign_stops_the_robot(link:
     os.write(tell, b"m")
     os.close(read)
     try:
-        watch(Order(link, False, GO2W), orders, signs)
+        watch(Order(link, False, GO2W_WHEELS), orders, signs)
     finally:
         for end in (orders, tell, signs):
             os.close(end)
@@ -168,9 +168,9 @@ def test_a_guardian_that_can_say_nothing_stops_the_robot(
     if how == "dies":
         os.close(tell)
     else:
-        threading.Timer(2 * SILENCE, os.close, [tell]).start()
+        threading.Timer(2 * LONGEST_SILENCE, os.close, [tell]).start()
     try:
-        watch(Order(link, False, GO2W), orders, signs)
+        watch(Order(link, False, GO2W_WHEELS), orders, signs)
     finally:
         for end in (orders, read, signs):
             os.close(end)
@@ -192,7 +192,7 @@ def test_a_driver_that_pauses_and_comes_back_is_not_stopped_by_what_was_begun_fo
     link = Rolling()
     orders, tell = os.pipe()
     read, signs = os.pipe()
-    watcher = threading.Thread(target=watch, args=(Order(link, False, GO2W), orders, signs))
+    watcher = threading.Thread(target=watch, args=(Order(link, False, GO2W_WHEELS), orders, signs))
     watcher.start()
 
     def drive(seconds: float) -> None:
@@ -203,7 +203,7 @@ def test_a_driver_that_pauses_and_comes_back_is_not_stopped_by_what_was_begun_fo
 
     try:
         drive(0.3)
-        begun = time.monotonic() + 10 * SILENCE
+        begun = time.monotonic() + 10 * LONGEST_SILENCE
         while not link.sent and time.monotonic() < begun:  # the driver is silent until the guardian acts
             time.sleep(0.01)
         assert link.sent, "the guardian stops the robot of a silent driver"
@@ -250,10 +250,10 @@ def test_a_guardian_that_never_gets_ready_is_lost(
     lines: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     program(tmp_path, monkeypatch, lines)
-    watch = Guardian("lo", 0, avoid=False, wheels=GO2W)
-    clock.now = 0.9 * guardian.START
+    watch = Guardian("lo", 0, avoid=False, wheels=GO2W_WHEELS)
+    clock.now = 0.9 * guardian.START_TIME
     assert watch.alive(), "it may take a moment"
-    clock.now = 1.1 * guardian.START
+    clock.now = 1.1 * guardian.START_TIME
     assert not watch.alive()
     assert not watch.ready
     watch.kill()
@@ -264,14 +264,14 @@ def test_a_guardian_that_hangs_is_lost_and_can_be_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     program(tmp_path, monkeypatch, "while true; do printf r; sleep 0.05; done")
-    watch = Guardian("lo", 0, avoid=False, wheels=GO2W)
+    watch = Guardian("lo", 0, avoid=False, wheels=GO2W_WHEELS)
     watch.wait_ready(10.0)
     os.kill(watch.pid, signal.SIGSTOP)
     os.waitid(os.P_PID, watch.pid, os.WSTOPPED)
     assert watch.alive(), "what it said before is heard"
-    clock.now += 0.9 * guardian.LOST
+    clock.now += 0.9 * guardian.LOST_AFTER
     assert watch.alive()
-    clock.now += 0.2 * guardian.LOST
+    clock.now += 0.2 * guardian.LOST_AFTER
     assert not watch.alive()
     watch.kill()
     assert not psutil.pid_exists(watch.pid)

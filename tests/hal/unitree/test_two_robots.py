@@ -10,7 +10,7 @@ from hal.contract import BackendError
 from hal.safety.monitors import TWO_ROBOTS, taken_out
 from hal.types import NS, Phase
 from hal.unitree.api import Sport
-from hal.unitree.turns import FLOOR, Turns
+from hal.unitree.turns import FLOOR_TIME, Turns
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 from tests.hal.unitree.world import World
 
@@ -80,7 +80,7 @@ def test_a_robot_that_was_restarted_is_one_robot() -> None:
     for _ in range(100):
         now += 2 * MS
         assert turns.counts(A, now)
-    for wait in (1 * MS, FLOOR, 3 * NS):
+    for wait in (1 * MS, FLOOR_TIME, 3 * NS):
         now += wait
         taken = 0
         new = (wait, "11-0")

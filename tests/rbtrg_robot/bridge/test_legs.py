@@ -35,7 +35,7 @@ def test_the_wheels_are_where_the_kinematics_put_them() -> None:
 
     for leg, name in enumerate(go2w.LEGS):
         origin, attitude = place(f"{name}_wheel")
-        tread = origin + attitude @ [0.0, go2w.TREAD_Y * go2w.SY[leg], 0.0]
+        tread = origin + attitude @ [0.0, go2w.TREAD_Y * go2w.SIGN_Y[leg], 0.0]
         np.testing.assert_allclose(tread, go2w.wheel_centres(q)[leg], atol=1e-9)
 
 

@@ -119,7 +119,7 @@ def test_the_stack_goes_on_with_a_map_whose_loops_are_closed(
     run: Path, stack: tuple[Stack, Bus], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     played, bus = stack
-    monkeypatch.setattr(map_orders, "LIMIT", 4.0)
+    monkeypatch.setattr(map_orders, "TIME_LIMIT", 4.0)
     played.glides = 6.0  # longer than an answer may take: the map that comes is heard of meanwhile
     pose = np.eye(4)
     pose[:2, :2] = [[math.cos(1.1), -math.sin(1.1)], [math.sin(1.1), math.cos(1.1)]]

@@ -199,8 +199,8 @@ def test_where_nobody_answers_it_goes_on_trying_and_says_so(
 def test_beside_a_supervisor_that_hangs_it_says_so_before_the_connection_ends(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert module.WORRY == 1.0
-    monkeypatch.setattr(module, "WORRY", 0.05)
+    assert module.WORRY_AFTER == 1.0
+    monkeypatch.setattr(module, "WORRY_AFTER", 0.05)
     monkeypatch.setattr(module, "DEFAULT", endpoint)
     said: list[str] = []
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rbtrg_robot.orders.keys import FIRST, REPEATED, HeldKeys
+from rbtrg_robot.orders.keys import FIRST_HOLD, REPEATED_HOLD, HeldKeys
 from rbtrg_robot.process.runfiles import RunLock
 from tools.bench.console.stack import Robot
 
@@ -24,13 +24,13 @@ def test_a_key_counts_until_its_repeats_end() -> None:
     keys = HeldKeys()
     assert keys.want(0.0) is None
     keys.press("w", 1.0)
-    assert keys.want(1.0 + 0.9 * FIRST) == (1.0, 0.0)
+    assert keys.want(1.0 + 0.9 * FIRST_HOLD) == (1.0, 0.0)
     keys.press("w", 1.5)
     keys.press("w", 1.53)
     keys.press("a", 1.53)
     assert keys.want(1.6) == (1.0, 1.0)
-    assert keys.want(1.53 + 1.1 * REPEATED) == (0.0, 1.0)
-    assert keys.want(1.53 + 1.1 * FIRST) is None
+    assert keys.want(1.53 + 1.1 * REPEATED_HOLD) == (0.0, 1.0)
+    assert keys.want(1.53 + 1.1 * FIRST_HOLD) is None
     keys.press("s", 3.0)
     keys.press("\x1b[A", 3.0)
     assert keys.want(3.1) == (0.0, 0.0)

@@ -21,7 +21,7 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load
-from rbtrg_robot.console.api import CALLS, LARGEST, ORDERS
+from rbtrg_robot.console.api import CALLS, LARGEST_MISSION, ORDERS
 from rbtrg_robot.console.desk import ONLY_SEE, TAKEN, Page
 from rbtrg_robot.console.feed import Slots
 from rbtrg_robot.console.webhooks import hooks
@@ -226,7 +226,7 @@ def test_events_are_posted_to_the_addresses_of_the_configuration_and_nowhere_els
 
 
 def test_an_address_that_speaks_no_http_ends_no_webhook(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rbtrg_robot.console.webhooks.AGAIN", (0.0,))
+    monkeypatch.setattr("rbtrg_robot.console.webhooks.RETRY_TIMES", (0.0,))
     heard: list[bytes] = []
 
     class Handler(socketserver.BaseRequestHandler):
@@ -302,7 +302,7 @@ def test_whatever_is_sent_is_answered(robot: Program, path: str, caplog: pytest.
         assert answer["words"] or answer["ok"]
         assert "Traceback" not in answer["words"]
         assert len(answer["words"]) < 1000
-    assert robot.post(path, b" " * (LARGEST + 1))[0] == 413
+    assert robot.post(path, b" " * (LARGEST_MISSION + 1))[0] == 413
     assert not [r for r in caplog.records if r.exc_info], "a fault of ours"
 
 

@@ -92,7 +92,7 @@ def test_too_many_pages_are_refused_but_stop(
 def test_a_body_that_never_ends_is_given_up(
     console: Console, who: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archive, "PATIENCE", 0.05)
+    monkeypatch.setattr(archive, "ARCHIVE_PATIENCE", 0.05)
     folder = Path(console.config.log_dir).parent / "20260101"
     folder.mkdir(parents=True)
     (folder / "config.yaml").touch()

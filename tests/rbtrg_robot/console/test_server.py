@@ -26,9 +26,9 @@ from rbtrg_robot.access.identity import CA, ROBOT, keys_dir
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.console import door, replays, server
 from rbtrg_robot.console.desk import ONLY_SEE
-from rbtrg_robot.console.lease import VALID, Lease
+from rbtrg_robot.console.lease import LEASE_TIME, Lease
 from rbtrg_robot.console.server import ConsoleError, listening, serving
-from rbtrg_robot.console.terrain import HEADER, LIMIT, TILE_SIDE, Terrain, ground_risk, trust_of
+from rbtrg_robot.console.terrain import HEADER, RISK_LIMIT, TILE_SIDE, Terrain, ground_risk, trust_of
 from rbtrg_robot.process.runfiles import RunLock, console_file
 from rbtrg_robot.stages.planner import build
 from rbtrg_robot.wire.bus import Bus
@@ -223,7 +223,7 @@ def test_an_observer_is_refused_whatever_moves_the_robot_and_may_stop_it(console
 def test_a_cookie_ends(console: Console, monkeypatch: pytest.MonkeyPatch) -> None:
     who = {"Cookie": cookie(console)}
     assert get(console, "/about", **who)[0] == 200
-    later = time.time() + door.VALID + 1.0
+    later = time.time() + door.COOKIE_TIME + 1.0
     monkeypatch.setattr(door, "time", SimpleNamespace(time=lambda: later, monotonic=time.monotonic))
     assert get(console, "/about", **who)[0] == 401
     who["Origin"] = f"http://{console.address().split('/')[2]}"
@@ -239,7 +239,7 @@ def test_an_open_page_ends_with_its_cookie(
     with connect(f"ws://{host}/live", origin=f"http://{host}", additional_headers={"Cookie": who}) as socket:  # type: ignore[arg-type]
         socket.recv()
         socket.send('{"do": "see"}')
-        later = time.time() + door.VALID + 1.0
+        later = time.time() + door.COOKIE_TIME + 1.0
         monkeypatch.setattr(door, "time", SimpleNamespace(time=lambda: later, monotonic=time.monotonic))
         if says:
             socket.send(says)
@@ -351,16 +351,16 @@ def test_the_lease_ends_by_itself_and_is_taken_over_only_on_purpose() -> None:
     lease = Lease()
     assert lease.holder(0.0) == 0
     assert lease.take(1, 10.0)
-    assert not lease.take(2, 10.0 + 0.9 * VALID)
-    assert lease.take(1, 10.0 + 0.9 * VALID)
-    assert lease.holder(10.0 + 1.8 * VALID) == 1
+    assert not lease.take(2, 10.0 + 0.9 * LEASE_TIME)
+    assert lease.take(1, 10.0 + 0.9 * LEASE_TIME)
+    assert lease.holder(10.0 + 1.8 * LEASE_TIME) == 1
     assert lease.take(2, 11.0, confirmed=True)
     assert not lease.take(1, 11.1)
     lease.give_back(1)
     assert lease.holder(11.2) == 2
     lease.give_back(2)
     assert lease.take(1, 11.3)
-    assert lease.holder(11.3 + 1.01 * VALID) == 0
+    assert lease.holder(11.3 + 1.01 * LEASE_TIME) == 0
 
 
 def tiles_of(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -469,7 +469,7 @@ def test_ground_risk_is_the_share_of_what_the_robot_drives_over() -> None:
     slope = np.array([0.0, 0.2, 0.4, 0.9, np.nan], np.float32)
     step = np.array([0.0, 0.01, 0.02, 0.05, np.nan], np.float32)
     risk = ground_risk(slope, step, 0.04, 0.4, 0.1)
-    assert risk.tolist() == [0, LIMIT // 2, LIMIT, LIMIT // 2, 255]
+    assert risk.tolist() == [0, RISK_LIMIT // 2, RISK_LIMIT, RISK_LIMIT // 2, 255]
 
 
 @pytest.fixture(scope="module")

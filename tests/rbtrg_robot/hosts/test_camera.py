@@ -17,8 +17,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts import camera as module
 from rbtrg_robot.hosts import robot as robot_host
-from rbtrg_robot.hosts.camera import RETRY, Demand, Desk, image_msg, info_msg, source_of
-from rbtrg_robot.log.moments import AROUND, Moments, Thinned
+from rbtrg_robot.hosts.camera import RETRY_AFTER, Demand, Desk, image_msg, info_msg, source_of
+from rbtrg_robot.log.moments import TIME_AROUND, Moments, Thinned
 from rbtrg_robot.log.photos import photos, save
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.wire.messages import decode, encode, stamp_of
@@ -88,8 +88,8 @@ def test_a_camera_that_fails_is_told_and_tried_again(monkeypatch: pytest.MonkeyP
     source.broken = False
     desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 2.0)
     assert desk.frame(2.0, 6) is None, "not so soon"
-    desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 1.0 + RETRY)
-    frame = desk.frame(1.1 + RETRY, 7)
+    desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 1.0 + RETRY_AFTER)
+    frame = desk.frame(1.1 + RETRY_AFTER, 7)
     assert frame is not None
     assert desk.trouble == ""
     image = decode(encode(image_msg(camera, frame)), msg.CompressedImage)
@@ -119,7 +119,7 @@ def test_the_simulated_camera_counts_the_times_of_obstacles_from_where_the_simul
     config = load(None, [], scene="flat")
     camera = config.camera.mounted()
     assert camera is not None
-    drawn, driven = source_of(config, camera), robot_host.build(config, begin=robot_host.BEGIN)
+    drawn, driven = source_of(config, camera), robot_host.build(config, begin=robot_host.CLOCK_BEGIN)
     assert isinstance(drawn, RenderedCamera)
     assert drawn.start_time == driven.start_time
 
@@ -160,7 +160,7 @@ def test_what_is_thinned_is_whole_around_a_moment() -> None:
         "those of the last 5 s that were left out"
     )
     after = [k for k in range(100, 150) if thinned.take(k, 0.2 * k)]
-    assert after[:25] == list(range(100, 125)), f"all of them for {AROUND} s"
+    assert after[:25] == list(range(100, 125)), f"all of them for {TIME_AROUND} s"
     assert len(after[25:]) <= 6
     jitter = [0.02 * (-1) ** k for k in range(20)]
     thinned = Thinned(1.0)

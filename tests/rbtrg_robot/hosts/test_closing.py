@@ -35,7 +35,7 @@ from rbtrg_robot.stages.odometry import OdometryStage
 from rbtrg_robot.stages.stage import Outputs, Stage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, cloud_msg, cloud_points, map_patch, patch_msg
-from rbtrg_robot.wire.frames import GLIDE, MapFrame, Planar, laid
+from rbtrg_robot.wire.frames import GLIDE_SPEEDS, MapFrame, Planar, laid
 from rbtrg_robot.wire.messages import decode, header, time_msg
 from tests.rbtrg_robot.hosts.test_initial_pose import planar
 from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
@@ -134,10 +134,10 @@ def test_the_robot_glides_in_the_map_while_it_drives_and_its_goal_stays_where_it
         assert now.height_correction - before.height_correction == pytest.approx(LIFT, abs=0.02)
         glided = heard.offsets[first:]
         for (since, old, _), (then, new, _) in pairwise(glided[1:]):
-            assert math.dist(old[:2], new[:2]) <= GLIDE[0] * (then - since) + 1e-6
+            assert math.dist(old[:2], new[:2]) <= GLIDE_SPEEDS[0] * (then - since) + 1e-6
         start, end = glided[0][1], glided[-1][1]
         assert end == pytest.approx((start[0] + SHIFT[0], start[1] + SHIFT[1], start[2]), abs=1e-9)
-        assert glided[-1][0] - glided[1][0] > 0.8 * math.hypot(*SHIFT) / GLIDE[0]
+        assert glided[-1][0] - glided[1][0] > 0.8 * math.hypot(*SHIFT) / GLIDE_SPEEDS[0]
         stack.run_until(lambda: stack.newest[t.GOAL_STATUS].state == "reached", 90.0, "the goal")
         told = [status for status in stack.statuses if status.id == goal]
         assert {status.state for status in told} <= {
@@ -230,9 +230,9 @@ class Played:
     def glides(self, place: Planar) -> None:
         """Asserts that neither `odom` nor a robot at `place` in it ever moves faster in `map`."""
         for (since, old), (now, new) in pairwise(self.offsets[1:]):
-            far = GLIDE[0] * (now - since) / NS
+            far = GLIDE_SPEEDS[0] * (now - since) / NS
             assert math.dist(old[:2], new[:2]) <= far + 1e-6
-            assert abs(wrap(new[2] - old[2])) <= GLIDE[1] * (now - since) / NS + 1e-6
+            assert abs(wrap(new[2] - old[2])) <= GLIDE_SPEEDS[1] * (now - since) / NS + 1e-6
             assert math.dist(laid(old, place)[:2], laid(new, place)[:2]) <= 1.01 * far + 1e-6
 
     def walls_off(self, scene: Scene) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rbtrg_robot.process import kernels
-from rbtrg_robot.process.kernels import KERNELS, SURE, Compiling, kept_in
+from rbtrg_robot.process.kernels import KERNEL_FILES, SURE_KERNELS, Compiling, kept_in
 
 
 def keep(folder: Path, count: int, second: int = 2) -> None:
@@ -25,21 +25,23 @@ def test_a_first_start_tells_how_many_of_all_and_how_long_they_take(
 ) -> None:
     compiling = Compiling([tmp_path])
     assert compiling.words() == ""
-    keep(tmp_path, SURE - 1)
-    assert compiling.words() == f"compiling kernels for this machine, once: {SURE - 1} of {KERNELS}"
+    keep(tmp_path, SURE_KERNELS - 1)
+    assert (
+        compiling.words() == f"compiling kernels for this machine, once: {SURE_KERNELS - 1} of {KERNEL_FILES}"
+    )
     keep(tmp_path, 57)
     began = compiling._began
     monkeypatch.setattr(kernels.time, "monotonic", lambda: began + 20.0)
-    left = 20.0 * (KERNELS - 57) / 57
+    left = 20.0 * (KERNEL_FILES - 57) / 57
     said, seconds = compiling.words().rsplit(", about ", 1)
-    assert said == f"compiling kernels for this machine, once: 57 of {KERNELS}"
+    assert said == f"compiling kernels for this machine, once: 57 of {KERNEL_FILES}"
     assert 0.0 <= int(seconds.removesuffix(" s")) - left < 5.0
-    keep(tmp_path, KERNELS + 3)
-    assert compiling.words().endswith(f"once: {KERNELS + 3} so far")
+    keep(tmp_path, KERNEL_FILES + 3)
+    assert compiling.words().endswith(f"once: {KERNEL_FILES + 3} so far")
 
 
 def test_after_an_upgrade_it_tells_how_many_so_far_and_a_warm_start_says_nothing(tmp_path: Path) -> None:
-    keep(tmp_path, KERNELS, second=1)
+    keep(tmp_path, KERNEL_FILES, second=1)
     compiling = Compiling([tmp_path])
     assert compiling.words() == ""
     keep(tmp_path, 30)

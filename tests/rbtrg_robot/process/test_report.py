@@ -77,7 +77,7 @@ def test_everything_is_in_it(run: Path, tmp_path: Path) -> None:
     assert json.loads(found["status.json"]) == {"ready": True}
     assert found[CONFIG] == b"robot: rex\n"
     lines = found["logs/planner.log"].splitlines()
-    assert (len(lines), lines[-1]) == (report.LINES, b"line 999")
+    assert (len(lines), lines[-1]) == (report.TAIL_LINES, b"line 999")
     (tmp_path / "last.mcap").write_bytes(found["last.mcap"])
     assert is_intact(tmp_path / "last.mcap")
 

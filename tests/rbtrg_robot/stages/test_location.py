@@ -10,7 +10,7 @@ import pytest
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.sensor import XT16
 from rbtrg_robot import msg
-from rbtrg_robot.stages.location import LOOK, Location, State, pose_of
+from rbtrg_robot.stages.location import LOOK_SCANS, Location, State, pose_of
 from rbtrg_robot.stages.navigation.reasons import Reason, unlocated
 from rbtrg_robot.wire.convert import MAP, odometry_msg, point, yaw_quaternion
 from rbtrg_robot.wire.frames import MapFrame, offset_of
@@ -39,7 +39,7 @@ def searching(hint: tuple[float, float, float], cloud: np.ndarray | None = None)
     return Location.begin("hall.npz", [patch()], made.astype(np.float32), hint)
 
 
-def scans(location: Location, seen: np.ndarray, message: msg.Odometry, count: int = LOOK) -> None:
+def scans(location: Location, seen: np.ndarray, message: msg.Odometry, count: int = LOOK_SCANS) -> None:
     for _ in range(count):
         location.scan(message, [(XT16, seen)], BELOW)
 
@@ -61,7 +61,7 @@ def test_two_places_that_look_the_same_are_told_until_an_operator_decides() -> N
     location = searching((50.0, 0.0, 0.0))
     assert location.state is State.SEARCHING
     seen = seen_from(room(4.0, 3.0), *PLACE)
-    scans(location, seen, odom(), LOOK - 1)
+    scans(location, seen, odom(), LOOK_SCANS - 1)
     assert location.state is State.SEARCHING
     scans(location, seen, odom(), 1)
     assert location.state is State.AMBIGUOUS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hal.safety.monitors import TRACKER_STALE, taken_out
-from hal.safety.trunk import STANDS, TILT_RATE
+from hal.safety.trunk import STANDING_TIME, TILT_RATE
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
@@ -152,7 +152,7 @@ def test_a_look_tilts_the_trunk_and_is_done_when_it_is_level_again() -> None:
     assert world.state.phase == "done"
     times = [now - braked for now, _ in world.pitches]
     assert {pitch for _, pitch in world.pitches} == {0.25}
-    assert times[0] >= STANDS * NS, "the gate refuses it before"
+    assert times[0] >= STANDING_TIME * NS, "the gate refuses it before"
     assert (times[-1] - times[0]) / NS == pytest.approx(0.25 / TILT_RATE + HOLD_TIME, abs=0.03)
     look(world)  # a repeat of the order
     world.run(0.5)

@@ -9,7 +9,7 @@ import pytest
 
 from rbtrg_robot import msg
 from rbtrg_robot.wire.convert import MAP, ODOM, rpy_quaternion, transform_msg
-from rbtrg_robot.wire.frames import GLIDE, MapFrame, Planar, glide, laid, near, wrap
+from rbtrg_robot.wire.frames import GLIDE_SPEEDS, MapFrame, Planar, glide, laid, near, wrap
 
 
 def told(offset: Planar) -> msg.TFMessage:
@@ -33,10 +33,10 @@ def test_a_glide_keeps_its_limits_and_ends_where_it_is_to(seed: int) -> None:
     while offset != target:
         before, offset = offset, glide(offset, target, place, 0.1)
         steps += 1
-        assert math.dist(before[:2], offset[:2]) <= 0.1 * GLIDE[0] + 1e-12
-        assert abs(wrap(offset[2] - before[2])) <= 0.1 * GLIDE[1] + 1e-12
+        assert math.dist(before[:2], offset[:2]) <= 0.1 * GLIDE_SPEEDS[0] + 1e-12
+        assert abs(wrap(offset[2] - before[2])) <= 0.1 * GLIDE_SPEEDS[1] + 1e-12
         # along a chord, not an arc: the robot is a hair faster
-        assert math.dist(laid(before, place)[:2], laid(offset, place)[:2]) <= 0.101 * GLIDE[0] + 1e-12
+        assert math.dist(laid(before, place)[:2], laid(offset, place)[:2]) <= 0.101 * GLIDE_SPEEDS[0] + 1e-12
         assert not frame.take(told(offset)), "no reader begins anew"
         assert steps < 10_000
     assert near(frame.offset, target, (1e-9, 1e-9))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from rbtrg_robot.wire import front
-from rbtrg_robot.wire.front import DOORS, Doors, Front, greets
+from rbtrg_robot.wire.front import DOOR_COUNT, Doors, Front, greets
 from tools.bench.access import site
 from tools.bench.flood import breaking_off, client_hello
 from tools.bench.ports import free_port
@@ -69,7 +69,7 @@ def test_four_hundred_visitors_a_second_find_a_port_that_does_not_rest(
 
     clock = Clock()
     monkeypatch.setattr(front.asyncio, "sleep", clock.sleep)
-    doors = Doors(clock, list(range(DOORS)))  # type: ignore[arg-type]
+    doors = Doors(clock, list(range(DOOR_COUNT)))  # type: ignore[arg-type]
     asyncio.run(visit())
     assert clock.now < 0.5
 
@@ -79,7 +79,7 @@ def test_zenoh_gets_the_ports_that_were_chosen_for_it() -> None:
     inner, outside = free_port(), free_port()
     made = Front([f"tls/127.0.0.1:{outside}"], inner)
     ports = [int(door.rpartition(":")[2]) for door in made.doors]
-    assert len(set(ports) - {inner, outside}) == DOORS
+    assert len(set(ports) - {inner, outside}) == DOOR_COUNT
     with contextlib.closing(made), contextlib.ExitStack() as opened:
         for port in (*ports, inner):
             with socket.socket() as another, pytest.raises(OSError, match="in use"):
@@ -90,7 +90,7 @@ def test_zenoh_gets_the_ports_that_were_chosen_for_it() -> None:
 @contextlib.contextmanager
 def echoing(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, int]]:
     """A front before a program that says everything again."""
-    monkeypatch.setattr(front, "DOORS", 1)
+    monkeypatch.setattr(front, "DOOR_COUNT", 1)
     port = free_port()
     made = Front([f"tls/127.0.0.1:{port}"], free_port())
     with socket.create_server(("127.0.0.1", int(made.doors[0].rpartition(":")[2]))) as server:
@@ -111,7 +111,7 @@ def echoing(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, int]]:
 
 
 def test_what_is_said_arrives_whole_also_where_nobody_reads_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    said = random.Random(0).randbytes(100 * front.HELD)  # more than all sockets on the way hold
+    said = random.Random(0).randbytes(100 * front.HELD_BYTES)  # more than all sockets on the way hold
     with echoing(monkeypatch) as address, socket.create_connection(address, timeout=60.0) as one:
         one.sendall(HELLO)
         assert one.recv(1 << 16) == HELLO
@@ -143,7 +143,7 @@ def test_who_says_more_than_a_greeting_before_it_is_answered_is_sent_away(
 def test_who_has_not_come_through_a_handshake_gives_way_to_newer_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(front, "STRANGERS", 2)
+    monkeypatch.setattr(front, "MOST_STRANGERS", 2)
     with echoing(monkeypatch) as address, contextlib.ExitStack() as held:
 
         def visitor() -> socket.socket:

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from hal.unitree.low.loop import SHARES, MotorLoop
-from hal.unitree.low.process import FINE, Gaps
+from hal.unitree.low.loop import TOLD_SHARES, MotorLoop
+from hal.unitree.low.process import CLASS_WIDTH, Gaps
 from tools.bench.low import run
 
 
@@ -32,7 +32,7 @@ def test_what_the_loop_tells_of_its_times_are_their_quantiles() -> None:
     for gap in times:
         gaps.add(gap)
     wanted = (0.002, 0.003, 0.0101)
-    assert len(wanted) == len(SHARES)
+    assert len(wanted) == len(TOLD_SHARES)
     for told, exact in zip(gaps.shares(), wanted, strict=True):
-        assert exact - 1e-9 <= told <= exact + 2 * FINE
+        assert exact - 1e-9 <= told <= exact + 2 * CLASS_WIDTH
     assert gaps.worst == 0.5

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hal.lowlevel import LowCommand, LowState
-from hal.mujoco.attitude import GAIN, AttitudeFilter
+from hal.mujoco.attitude import FILTER_GAIN, AttitudeFilter
 from hal.robots.go2w import facts as go2w
-from hal.robots.go2w.locomotion.hybrid import ONWARD, TURN_MOST
+from hal.robots.go2w.locomotion.hybrid import ONWARD_SPEED, TURN_MOST
 from hal.robots.go2w.locomotion.layout import Layout
 from hal.robots.go2w.locomotion.policy import PolicyController
-from hal.robots.go2w.locomotion.rlsar import FRAME
+from hal.robots.go2w.locomotion.rlsar import FRAME_LENGTH
 from hal.robots.go2w.locomotion.torchfile import Layer
 from hal.robots.go2w.locomotion.weights import save_weights
 from hal.rotation import rotation as matrix_of
@@ -71,8 +71,8 @@ def test_a_frame_is_what_the_controller_sees(env: Environment, tmp_path: Path) -
     state = LowState(0.0, s[1:24][r.qadr], s[24:46][r.vadr], np.zeros(16), s[4:8], s[27:30], np.zeros(3))
     vx, vy, wz = one.command[0].tolist()
     controller.step(state, VelocityCommand(0, vx, vy, wz), PostureCommand(0))
-    np.testing.assert_allclose(seen[0, :FRAME], controller._frames[0], atol=1e-5)
-    np.testing.assert_array_equal(seen[0, FRAME : 2 * FRAME], seen[0, :FRAME])
+    np.testing.assert_allclose(seen[0, :FRAME_LENGTH], controller._frames[0], atol=1e-5)
+    np.testing.assert_array_equal(seen[0, FRAME_LENGTH : 2 * FRAME_LENGTH], seen[0, :FRAME_LENGTH])
 
 
 def test_robots_stand_and_are_paid_for_it(env: Environment) -> None:
@@ -121,7 +121,7 @@ def test_robots_in_lanes_are_told_to_slow_down_to_turn_aside_and_to_stand() -> N
     assert ((vx * np.sign(begun) >= 0.0) & (np.abs(vx) <= np.abs(begun) + 1e-9)).all(), (
         "never faster, never back"
     )
-    assert (np.abs(vx[vx != 0.0]) >= ONWARD).all()
+    assert (np.abs(vx[vx != 0.0]) >= ONWARD_SPEED).all()
     assert (wz[vx == 0.0] == 0.0).all(), "who stands does not turn"
     assert (np.abs(wz) <= TURN_MOST + 1e-9).all()
     assert (np.ptp(wz, axis=0) > 0.2).any(), "they are where they began, and told to turn"
@@ -197,11 +197,11 @@ def test_a_label_gives_the_teachers_torque() -> None:
 
 
 def test_frames_before_the_start_are_the_first() -> None:
-    frames = np.arange(20 * FRAME, dtype=np.float32).reshape(20, FRAME)
+    frames = np.arange(20 * FRAME_LENGTH, dtype=np.float32).reshape(20, FRAME_LENGTH)
     stacked = teacher.stacked(frames)
     assert stacked.shape == (20, SEEN)
     np.testing.assert_array_equal(stacked[15], np.concatenate([frames[15 - age] for age in PARAMS.ages]))
-    np.testing.assert_array_equal(stacked[3, -FRAME:], frames[0])
+    np.testing.assert_array_equal(stacked[3, -FRAME_LENGTH:], frames[0])
 
 
 def test_a_checkpoint_comes_back(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_training_knows_the_errors_of_the_attitude_that_the_robot_reads() -> Non
     quaternion = rng.normal(size=(20, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     acceleration = rng.uniform(-3.0, 3.0, (20, 3))
-    told = in_body(quaternion, GAIN * 0.02 * felt(acceleration))
+    told = in_body(quaternion, FILTER_GAIN * 0.02 * felt(acceleration))
     for q, a, moved in zip(quaternion, acceleration, told, strict=True):
         rotation = matrix_of(q[[1, 2, 3, 0]])
         low = LowState(0.0, *np.zeros((3, 16)), q.copy(), np.zeros(3), rotation.T @ [0.0, 0.0, 9.81])

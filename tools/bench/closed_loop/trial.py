@@ -224,9 +224,9 @@ class Watch:
         """Mean over the wheels of |rolling speed - forward speed| over the larger of the two, at least 0.1 m/s."""
         state = self._sim.low_state()
         rolling = np.abs(
-            state.dq[go2w.WHEELS] * go2w.WHEEL_RADIUS - (v := float(self._sim.linear_velocity[0]))
+            state.dq[go2w.WHEEL_JOINTS] * go2w.WHEEL_RADIUS - (v := float(self._sim.linear_velocity[0]))
         )
-        larger = np.maximum(np.maximum(np.abs(state.dq[go2w.WHEELS]) * go2w.WHEEL_RADIUS, abs(v)), 0.1)
+        larger = np.maximum(np.maximum(np.abs(state.dq[go2w.WHEEL_JOINTS]) * go2w.WHEEL_RADIUS, abs(v)), 0.1)
         return float(np.mean(rolling / larger))
 
     def _at_wall(self) -> bool:

@@ -14,7 +14,7 @@ import math
 
 from numba import njit
 
-from hal.robots.go2w.facts import DAMPING, FRICTIONLOSS, HIP_X, HIP_Y, SX, SY, WHEEL_RADIUS
+from hal.robots.go2w.facts import HIP_X, HIP_Y, JOINT_DAMPING, JOINT_FRICTION, SIGN_X, SIGN_Y, WHEEL_RADIUS
 from hal.robots.go2w.locomotion.contact import clip
 from hal.robots.go2w.locomotion.params import VmcParams
 from hal.types import Array
@@ -23,9 +23,9 @@ CREEP_TIME = 0.4
 """The command must have been slow for this long [s]: starting to drive and coming to rest is not creeping."""
 LEAVE_TIME = 1.0
 """Longer by this [s] after driving away: that way it came, and its wheels are still in motion."""
-FILTER = 0.015
+LEAN_TIME = 0.015
 """Time constant of the lean [s]."""
-STRETCHED = 0.38
+STRETCHED_LEG = 0.38
 """Axle below hip [m] from which a leg without load hangs..."""
 HANG_TIME = 0.03
 """... when it lasts this long [s]."""
@@ -33,7 +33,7 @@ BACK_OFF = 0.12
 """How far it drives back from the edge [m], as long as it is commanded towards it..."""
 BACK_SPEED = 0.15
 """... at this speed [m/s]."""
-TUCK = 0.09
+TUCK_LENGTH = 0.09
 """How far the leading wheels are drawn back under the trunk [m], until it has backed off..."""
 TUCK_RATE = 2.0
 """... at this speed [m/s]."""
@@ -58,15 +58,15 @@ def feel_edges(
         f = m.force[leg]
         size = math.sqrt(f[0] * f[0] + f[2] * f[2])
         rate = dq[12 + leg]
-        torque = tau[12 + leg] - FRICTIONLOSS * clip(rate / 0.5, -1.0, 1.0) - DAMPING * rate
+        torque = tau[12 + leg] - JOINT_FRICTION * clip(rate / 0.5, -1.0, 1.0) - JOINT_DAMPING * rate
         lean = 0.0
         if size > p.contact_on:
             lean = math.atan2(f[0], f[2]) - math.asin(clip(torque / (WHEEL_RADIUS * size), -0.6, 0.6))
-        m.lean[leg] += dt / (dt + FILTER) * (clip(lean, -1.6, 1.6) - m.lean[leg])
-        length = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg] - centres[leg, 2]
-        hanging = m.contact[leg] == 0 and length > STRETCHED
+        m.lean[leg] += dt / (dt + LEAN_TIME) * (clip(lean, -1.6, 1.6) - m.lean[leg])
+        length = rot[2, 0] * HIP_X * SIGN_X[leg] + rot[2, 1] * HIP_Y * SIGN_Y[leg] - centres[leg, 2]
+        hanging = m.contact[leg] == 0 and length > STRETCHED_LEG
         m.hang[leg] = m.hang[leg] + dt if hanging else 0.0
-        if way * SX[leg] > 0.0:
+        if way * SIGN_X[leg] > 0.0:
             worst = max(worst, way * (m.lean[leg] + math.atan(m.grade[0])))
             stretched = stretched or m.hang[leg] > HANG_TIME
     if m.cliff == 0.0:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hal.robots.go2w.facts import HIP_X, HIP_Y, SX, SY, THIGH_Y, TREAD_Y
+from hal.robots.go2w.facts import HIP_X, HIP_Y, SIGN_X, SIGN_Y, THIGH_Y, TREAD_Y
 from hal.robots.go2w.locomotion.params import VmcParams
 from hal.types import Array
 
@@ -25,9 +25,9 @@ BACK_TIME = 0.6
 """A climb that finds no footing drives back for this long [s], so that the wheels come under the trunk again..."""
 BACK_SPEED = 0.15
 """... at this speed [m/s]."""
-STRAIN = 0.3
+STRAIN_SHARE = 0.3
 """Share of a wheel's push that the wheel behind or before it feels as well when the robot turns."""
-TIPPING = 1.4
+TIPPING_RATIO = 1.4
 """A trunk that tilts by so many times the tilt that forbids lifting tips: the lifted wheel is put down again."""
 
 
@@ -67,12 +67,12 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     for leg in range(4):
         back = -way * m.force[leg, 0]
         others = way * (total - m.force[leg, 0]) / 3.0
-        behind = way * (HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
+        behind = way * (HIP_X * SIGN_X[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
         pushed = back > 0.4 * p.blocked_force * caution and back + others > p.blocked_force * caution
         lags = behind > p.blocked_lag * caution and back > 5.0 * caution
         # Wheels that turn the trunk strain against each other, also a while after: both of one side are pushed back.
         # No edge does that to a robot that drives on.
-        strained = not stuck and -way * m.force[(leg + 2) % 4, 0] > STRAIN * back > 0.0
+        strained = not stuck and -way * m.force[(leg + 2) % 4, 0] > STRAIN_SHARE * back > 0.0
         # The hill itself pushes every wheel back, and one that slips cannot resist: only what is left counts for the
         # slow signs.
         back -= way * m.grade[0] * m.force[leg, 2]
@@ -105,8 +105,8 @@ def begin(m, leg: int, way: float, centres: Array, com: Array, p: VmcParams) -> 
     if m.mode == DRIVE:
         # The legs that pushed are bent like springs: take them as they are, or they throw the trunk back.
         for i in range(4):
-            m.place[i, 0] = centres[i, 0] - HIP_X * SX[i] - m.shift[0]
-            m.place[i, 1] = centres[i, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[i] - m.shift[1]
+            m.place[i, 0] = centres[i, 0] - HIP_X * SIGN_X[i] - m.shift[0]
+            m.place[i, 1] = centres[i, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SIGN_Y[i] - m.shift[1]
     m.mode = SHIFT
     m.leg = leg
     m.way = way
@@ -116,8 +116,8 @@ def begin(m, leg: int, way: float, centres: Array, com: Array, p: VmcParams) -> 
     across = (beside + 2) % 4
     shifted = np.zeros(2)
     for i in range(4):
-        shifted[0] += 0.25 * (centres[i, 0] - HIP_X * SX[i] - m.place[i, 0])
-        shifted[1] += 0.25 * (centres[i, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[i] - m.place[i, 1])
+        shifted[0] += 0.25 * (centres[i, 0] - HIP_X * SIGN_X[i] - m.place[i, 0])
+        shifted[1] += 0.25 * (centres[i, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SIGN_Y[i] - m.place[i, 1])
     for axis in range(2):
         middle = 0.5 * (centres[beside, axis] + centres[along, axis])
         goal = middle + p.triangle * (centres[across, axis] - middle)
@@ -171,7 +171,7 @@ def climb_tick(
             begin(m, leg, way, centres, com, p)
         return
     leg = m.leg
-    hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
+    hip_z = rot[2, 0] * HIP_X * SIGN_X[leg] + rot[2, 1] * HIP_Y * SIGN_Y[leg]
     if m.mode == SHIFT:
         miss = abs(m.shift[0] - m.shift_goal[0]) + abs(m.shift[1] - m.shift_goal[1])
         steady = abs(m.speed + m.shift_rate[0]) < p.still and abs(omega[2]) < 0.3
@@ -190,7 +190,9 @@ def climb_tick(
         elif m.timer > 1.0:
             finish(m)
             m.retreat = BACK_TIME
-    elif (m.mode == LIFT or m.mode == REACH) and max(abs(m.tilt[0]), abs(m.tilt[1])) > TIPPING * p.lift_tilt:
+    elif (m.mode == LIFT or m.mode == REACH) and max(
+        abs(m.tilt[0]), abs(m.tilt[1])
+    ) > TIPPING_RATIO * p.lift_tilt:
         # The wheel is needed on the ground.
         m.mode = LOWER
         m.timer = 0.0
@@ -209,7 +211,7 @@ def climb_tick(
             m.timer = 0.0
     elif m.mode == REACH:
         goal = m.lift_x + m.way * p.reach
-        limit = HIP_X * SX[leg] + m.way * p.reach_max
+        limit = HIP_X * SIGN_X[leg] + m.way * p.reach_max
         goal = min(goal, limit) if m.way > 0.0 else max(goal, limit)
         m.foot[2] = hip_z - p.stroke_lift
         m.foot[0] += min(max(goal - m.foot[0], -p.reach_rate * dt), p.reach_rate * dt)
@@ -222,7 +224,7 @@ def climb_tick(
         m.foot[2] = max(m.foot[2] - p.lower_rate * dt, hip_z - p.stroke_max)
         landed = centres[leg, 2] - m.foot[2] > 0.025 or m.force[leg, 2] > p.contact_on + 6.0
         if (landed and m.timer > 0.06) or m.timer > 1.0:
-            m.place[leg, 0] = centres[leg, 0] - HIP_X * SX[leg] - m.shift[0]
+            m.place[leg, 0] = centres[leg, 0] - HIP_X * SIGN_X[leg] - m.shift[0]
             m.load_cap[leg] = 10.0
             m.load[leg] = 0.0
             m.blocked[leg] = 0.0

@@ -31,7 +31,7 @@ from hal.types import Array
 
 _CHECKED = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-OLDEST = 99
+OLDEST_FRAME = 99
 """Oldest frame that may be asked for [policy steps]."""
 MOST_SEEN = 20_000
 """Numbers of an observation with its history."""
@@ -164,8 +164,8 @@ class Description(BaseModel):
             _sized(f"{term.term}.scale", term.scale, size)
             _limits(f"{term.term}.clip", term.clip, size)
             ages = self.ages(term)
-            if not ages or len(set(ages)) != len(ages) or min(ages) < 0 or max(ages) > OLDEST:
-                raise ValueError(f"{term.term}: ages are from 0 to {OLDEST}, each once")
+            if not ages or len(set(ages)) != len(ages) or min(ages) < 0 or max(ages) > OLDEST_FRAME:
+                raise ValueError(f"{term.term}: ages are from 0 to {OLDEST_FRAME}, each once")
             if self.history.order == "frame" and ages != self.history.ages:
                 raise ValueError(f"{term.term}: ages of one term alone need `order: term`")
             total += size * len(ages)

@@ -11,36 +11,36 @@ import numpy as np
 from numba import njit
 
 from hal.robots.go2w.facts import (
-    BASE,
+    BASE_LINK,
     CALF,
     CALF_LINK,
-    HIP,
+    HIP_LINK,
     HIP_X,
     HIP_Y,
-    MASS,
-    SX,
-    SY,
+    ROBOT_MASS,
+    SIGN_X,
+    SIGN_Y,
     THIGH,
     THIGH_LINK,
     THIGH_Y,
-    WHEEL,
+    WHEEL_LINK,
     WHEEL_MOTOR,
     WHEEL_RADIUS,
 )
 from hal.rotation import up_of
 from hal.types import GRAVITY, Array
 
-_BASE_M = BASE.mass
-_BASE_X = BASE.com[0]
-_BASE_Z = BASE.com[2]
-_HIP_M = HIP.mass
+_BASE_M = BASE_LINK.mass
+_BASE_X = BASE_LINK.com[0]
+_BASE_Z = BASE_LINK.com[2]
+_HIP_M = HIP_LINK.mass
 _THIGH_M = THIGH_LINK.mass
 _THIGH_Y = THIGH_LINK.com[1]
 _THIGH_Z = THIGH_LINK.com[2]
 _SHANK_M = CALF_LINK.mass + WHEEL_MOTOR.mass
 _SHANK_Z = (CALF_LINK.mass * CALF_LINK.com[2] + WHEEL_MOTOR.mass * WHEEL_MOTOR.com[2]) / _SHANK_M
-_WHEEL_M = WHEEL.mass
-_WHEEL_Y = WHEEL.com[1]
+_WHEEL_M = WHEEL_LINK.mass
+_WHEEL_Y = WHEEL_LINK.com[1]
 
 
 @njit(cache=True)
@@ -89,12 +89,12 @@ def leg_weight(q: Array, rot: Array) -> tuple[Array, Array]:
         shank = thigh + q[3 * leg + 2]
         s = math.sin(hip)
         c = math.cos(hip)
-        sy = SY[leg]
+        sy = SIGN_Y[leg]
         st = math.sin(thigh)
         ct = math.cos(thigh)
         ss = math.sin(shank)
         cs = math.cos(shank)
-        com[0] += _HIP_M * HIP_X * SX[leg]
+        com[0] += _HIP_M * HIP_X * SIGN_X[leg]
         com[1] += _HIP_M * HIP_Y * sy
         for part in range(3):
             if part == 0:
@@ -112,14 +112,14 @@ def leg_weight(q: Array, rot: Array) -> tuple[Array, Array]:
                 cz = -down * cs
                 x = -THIGH * st + cx
                 z = -THIGH * ct + cz
-            com[0] += mass * (HIP_X * SX[leg] + x)
+            com[0] += mass * (HIP_X * SIGN_X[leg] + x)
             com[1] += mass * (HIP_Y * sy + y * c - z * s)
             com[2] += mass * (y * s + z * c)
             mg = mass * GRAVITY
             torque[leg, 0] += mg * (up[1] * (-y * s - z * c) + up[2] * (y * c - z * s))
             torque[leg, 1] += mg * (up[0] * z + up[1] * x * s - up[2] * x * c)
             torque[leg, 2] += mg * (up[0] * cz + up[1] * cx * s - up[2] * cx * c)
-    com /= MASS
+    com /= ROBOT_MASS
     return torque, rotate(rot, com.reshape(1, 3))[0]
 
 

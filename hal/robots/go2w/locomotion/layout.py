@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.limbs import MOTORS, WHEELS
+from hal.limbs import MOTORS, WHEEL_JOINTS
 from hal.robots.go2w.locomotion.description import Description
 from hal.types import Array
 
-BRAKE = 2.0
+BRAKE_DAMPING = 2.0
 """[Nms/rad] of wheels that a policy does not know."""
 
 
@@ -40,9 +40,9 @@ class Layout:
         )
         self.default = np.zeros(len(MOTORS))
         self.default[self._of] = stand
-        self.kp, self.kd = np.zeros(len(MOTORS)), np.full(len(MOTORS), BRAKE)
+        self.kp, self.kd = np.zeros(len(MOTORS)), np.full(len(MOTORS), BRAKE_DAMPING)
         self.kp[self._of], self.kd[self._of] = description.kp, description.kd
-        self.kp[WHEELS] = 0.0
+        self.kp[WHEEL_JOINTS] = 0.0
         self.frame_size = 0
         """Numbers of all terms of one age."""
         self.places = np.empty((0, 2))

@@ -94,7 +94,7 @@ class PolicyController:
             self._held_since = state.time
             # What the springs carry now, they carry on: no sag when the gains change.
             self._held_tau = self.layout.kp * (c.q - state.q)
-            self._held_tau[go2w.WHEELS] = 0.0
+            self._held_tau[go2w.WHEEL_JOINTS] = 0.0
         s = min((state.time - self._held_since) / HOLD_BLEND, 1.0)
         c.q[:] = self._held
         c.dq[:] = 0.0

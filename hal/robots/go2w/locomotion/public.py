@@ -16,9 +16,9 @@ from pathlib import Path
 
 from hal.robots.go2w.locomotion.torchfile import PolicyError
 
-TIMEOUT = 30.0
+SERVER_TIMEOUT = 30.0
 """Longest silence of the server [s]."""
-LARGEST = 8_000_000
+LARGEST_FILE = 8_000_000
 """No file of a policy has more bytes."""
 
 
@@ -125,8 +125,8 @@ def _fetch(url: str) -> bytes:
     """The bytes at a URL. Raises PolicyError."""
     again = "check the network and run the command again; nothing was kept"
     try:
-        with urllib.request.urlopen(url, timeout=TIMEOUT) as response:
-            data: bytes = response.read(LARGEST + 1)
+        with urllib.request.urlopen(url, timeout=SERVER_TIMEOUT) as response:
+            data: bytes = response.read(LARGEST_FILE + 1)
             length = response.headers.get("Content-Length")
     except urllib.error.HTTPError as error:
         raise PolicyError(
@@ -135,8 +135,8 @@ def _fetch(url: str) -> bytes:
     except (OSError, HTTPException, ValueError) as error:
         reason = getattr(error, "reason", error)
         raise PolicyError(f"{url} cannot be fetched ({reason}): {again}") from error
-    if len(data) > LARGEST:
-        raise PolicyError(f"{url} is larger than {LARGEST // 1_000_000} MB; nothing was kept")
+    if len(data) > LARGEST_FILE:
+        raise PolicyError(f"{url} is larger than {LARGEST_FILE // 1_000_000} MB; nothing was kept")
     if length is not None and len(data) < int(length):
         raise PolicyError(f"{url} was cut off after {len(data)} of {length} bytes: {again}")
     return data

@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hal.limbs import MOTORS
-from hal.robots.go2w.locomotion.description import OLDEST, Action, Description, History, Term
+from hal.robots.go2w.locomotion.description import OLDEST_FRAME, Action, Description, History, Term
 from hal.robots.go2w.locomotion.torchfile import PolicyError
 from hal.robots.go2w.locomotion.yamlfile import first_error, read_yaml
 
 OBSERVATIONS = ("ang_vel", "gravity_vec", "commands", "dof_pos", "dof_vel", "actions")
-FRAME = 57
+FRAME_LENGTH = 57
 """Numbers of these for sixteen joints."""
 _TERMS = dict(zip(OBSERVATIONS, ("gyro", "gravity", "command", "angles", "speeds", "action"), strict=True))
 _LISTS = (
@@ -40,7 +40,7 @@ class PolicyParams(BaseModel):
     observations_history: tuple[int, ...] = ()
     """Ages [policy steps] of the frames of an observation; empty: the newest alone."""
     observations_history_priority: Literal["time", "term"] = "time"
-    num_observations: int = FRAME
+    num_observations: int = FRAME_LENGTH
     """Of one frame."""
     clip_obs: float = Field(100.0, gt=0.0)
     clip_actions_lower: tuple[float, ...] = (-100.0,) * 16
@@ -83,8 +83,8 @@ class PolicyParams(BaseModel):
         wheels = tuple(k for k, motor in enumerate(self.joint_mapping) if motor >= 12)
         if self.wheel_indices != wheels:
             raise ValueError(f"wheel_indices must be {wheels}, the wheels of joint_mapping")
-        if any(not 0 <= age <= OLDEST for age in self.ages) or len(set(self.ages)) != len(self.ages):
-            raise ValueError(f"observations_history: ages from 0 to {OLDEST}, each once")
+        if any(not 0 <= age <= OLDEST_FRAME for age in self.ages) or len(set(self.ages)) != len(self.ages):
+            raise ValueError(f"observations_history: ages from 0 to {OLDEST_FRAME}, each once")
         return self
 
     @property

@@ -14,11 +14,11 @@ from hal.robots.go2w.locomotion.description import TERMS
 from hal.robots.go2w.locomotion.policy import PolicyController
 from hal.types import GRAVITY, Array, PostureCommand, VelocityCommand
 
-RUNS = 200
+RUN_COUNT = 200
 """Of the network, for its time."""
-SPEED = 0.4
+ASKED_SPEED = 0.4
 """[m/s] that a standing robot is asked for."""
-FAR = 0.5
+FAR_TARGET = 0.5
 """[rad] from where a joint stands: a first target beyond it throws the robot."""
 
 
@@ -51,7 +51,7 @@ def tell(source: str) -> Iterator[str]:
 def _time(controller: PolicyController) -> float:
     seen = np.zeros(controller.network.inputs, np.float32)
     times = []
-    for _ in range(RUNS):
+    for _ in range(RUN_COUNT):
         began = time.perf_counter()
         controller.network(seen)
         times.append(time.perf_counter() - began)
@@ -66,14 +66,14 @@ def _first(controller: PolicyController) -> Iterator[str]:
         zeros = np.zeros(16)
         upright, gravity = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, GRAVITY])
         state = LowState(0.0, q.copy(), zeros, zeros, upright, np.zeros(3), gravity)
-        command = controller.step(state, VelocityCommand(0, SPEED), PostureCommand(0))
+        command = controller.step(state, VelocityCommand(0, ASKED_SPEED), PostureCommand(0))
         legs = np.abs(command.q - q)[:12]
         torque = np.abs(command.tau + command.kp * (command.q - q) + command.kd * command.dq)
         most = int(np.argmax(torque / go2w.TORQUE_LIMIT))
         yield (
-            f"told {SPEED} m/s in {name} it first moves {_motor(legs)} by {legs.max():.2f} rad, "
+            f"told {ASKED_SPEED} m/s in {name} it first moves {_motor(legs)} by {legs.max():.2f} rad, "
             f"and asks {go2w.MOTORS[most]} for {torque[most]:.1f} of {go2w.TORQUE_LIMIT[most]:.1f} Nm"
-            + (f": more than {FAR} rad at once throws the robot" if legs.max() > FAR else "")
+            + (f": more than {FAR_TARGET} rad at once throws the robot" if legs.max() > FAR_TARGET else "")
         )
     controller.reset()
 

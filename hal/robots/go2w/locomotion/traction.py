@@ -19,15 +19,15 @@ from hal.types import Array
 FRICTION_MAX = 1.0
 """Friction of a wheel that has not slipped lately: the best there is."""
 FRICTION_MIN = 0.1
-LEARN = 0.05
+LEARN_TIME = 0.05
 """Time constant [s] at which friction is learnt while a wheel slips..."""
-FORGET = 1.0
+FORGET_RATE = 1.0
 """... and the rate [1/s] at which it is trusted again afterwards."""
-SLIP = 0.05
+SLIP_SPEED = 0.05
 """A wheel slips when it runs ahead of the slowest one by this [m/s]..."""
 SLIP_SHARE = 0.2
 """... and this share of the speed."""
-SKID = 3.0
+SKID_RATIO = 3.0
 """Most of the yaw rate's own size that the yaw loop adds to it."""
 HALF_TRACK = HIP_Y + THIGH_Y + TREAD_Y
 
@@ -47,7 +47,7 @@ def learn_friction(m, tau: Array, axles: Array, rolled: Array, weight: Array, dt
             slowest = min(slowest, way * rolled[leg])
     # To turn, the wheels of one side are meant to run ahead; how far is up to the yaw loop, but only while a turn is
     # asked for.
-    margin = SLIP + SLIP_SHARE * abs(m.vx) + HALF_TRACK * min(abs(m.skid), SKID * abs(m.wz))
+    margin = SLIP_SPEED + SLIP_SHARE * abs(m.vx) + HALF_TRACK * min(abs(m.skid), SKID_RATIO * abs(m.wz))
     speed = 0.0
     total = 0.0
     for leg in range(4):
@@ -59,9 +59,9 @@ def learn_friction(m, tau: Array, axles: Array, rolled: Array, weight: Array, dt
         m.slips[leg] = 1 if slips else 0
         if slips:
             used = clip(math.hypot(push, side) / max(load, 1.0), FRICTION_MIN, FRICTION_MAX)
-            m.friction[leg] += dt / (dt + LEARN) * min(used - m.friction[leg], 0.0)
+            m.friction[leg] += dt / (dt + LEARN_TIME) * min(used - m.friction[leg], 0.0)
         else:
-            m.friction[leg] = min(m.friction[leg] + FORGET * dt, FRICTION_MAX)
+            m.friction[leg] = min(m.friction[leg] + FORGET_RATE * dt, FRICTION_MAX)
             speed += weight[leg] * rolled[leg]
             total += weight[leg]
         # What holds the robot sideways comes first; at least a third is left for driving.

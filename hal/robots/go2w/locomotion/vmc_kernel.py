@@ -9,15 +9,15 @@ import numpy as np
 from numba import njit
 
 from hal.robots.go2w.facts import (
-    BASE,
-    DAMPING,
-    FRICTIONLOSS,
-    HIP,
+    BASE_LINK,
+    HIP_LINK,
     HIP_X,
     HIP_Y,
-    MASS,
-    SX,
-    SY,
+    JOINT_DAMPING,
+    JOINT_FRICTION,
+    ROBOT_MASS,
+    SIGN_X,
+    SIGN_Y,
     THIGH_LINK,
     THIGH_Y,
     TREAD_Y,
@@ -25,7 +25,7 @@ from hal.robots.go2w.facts import (
     wheel_centres,
     wheel_jacobians,
 )
-from hal.robots.go2w.locomotion.cliff import TUCK, TUCK_RATE, feel_edges
+from hal.robots.go2w.locomotion.cliff import TUCK_LENGTH, TUCK_RATE, feel_edges
 from hal.robots.go2w.locomotion.climb import DRIVE, SHIFT, back_off, climb_tick
 from hal.robots.go2w.locomotion.contact import clip, estimate_contacts, turn_share
 from hal.robots.go2w.locomotion.geometry import (
@@ -40,7 +40,7 @@ from hal.robots.go2w.locomotion.traction import FRICTION_MAX, learn_friction, li
 from hal.types import GRAVITY, Array
 from hal.wheel_force import inverse3
 
-SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
+SPRUNG_MASS = BASE_LINK.mass + 4.0 * (HIP_LINK.mass + THIGH_LINK.mass)
 """What the legs carry and push [kg]; shank and wheel follow the ground."""
 
 OUT_Q, OUT_DQ, OUT_TAU, OUT_KP, OUT_KD = range(5)
@@ -89,12 +89,12 @@ def vmc_tick(
     if m.ticks == 0:
         for leg in range(4):
             m.contact[leg] = 1
-            m.load[leg] = 0.25 * MASS * GRAVITY
+            m.load[leg] = 0.25 * ROBOT_MASS * GRAVITY
             m.load_cap[leg] = p.force_max
             m.friction[leg] = FRICTION_MAX
             m.force[leg, 2] = m.load[leg]
-            m.place[leg, 0] = centres[leg, 0] - HIP_X * SX[leg]
-            m.place[leg, 1] = centres[leg, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg]
+            m.place[leg, 0] = centres[leg, 0] - HIP_X * SIGN_X[leg]
+            m.place[leg, 1] = centres[leg, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SIGN_Y[leg]
         m.queued = -1
     m.ticks += 1
     estimate_contacts(m, tau, weight_torque, jac, dt, p)
@@ -183,18 +183,18 @@ def vmc_tick(
     error = clip(height - m.height, -0.08, 0.08)
     m.lift_i = clip(m.lift_i + p.trim * p.heave_k * error * dt, -60.0, 60.0)
     wrench = np.empty(3)
-    wrench[0] = MASS * GRAVITY + m.lift_i + p.heave_k * error - p.heave_d * rise
+    wrench[0] = ROBOT_MASS * GRAVITY + m.lift_i + p.heave_k * error - p.heave_d * rise
     wrench[1] = p.roll_k * clip(roll_wanted - roll, -0.25, 0.25) - p.roll_d * omega[0]
     wrench[2] = p.pitch_k * clip(pitch_wanted - pitch, -0.25, 0.25) - p.pitch_d * omega[1]
     # The ground pushes the trunk sideways far below its centre of mass; the vertical forces must undo that moment.
     arm = com[2] + m.height
-    wrench[1] -= arm * SPRUNG * push[1]
-    wrench[2] += arm * SPRUNG * push[0]
+    wrench[1] -= arm * SPRUNG_MASS * push[1]
+    wrench[2] += arm * SPRUNG_MASS * push[0]
     lower = np.zeros(4)
     upper = np.full(4, p.force_max)
     for leg in range(4):
         # The soft stops of the leg bound its force: a stretched leg cannot push, a folded one must.
-        hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
+        hip_z = rot[2, 0] * HIP_X * SIGN_X[leg] + rot[2, 1] * HIP_Y * SIGN_Y[leg]
         stroke = hip_z - centres[leg, 2]
         upper[leg] = clip(p.force_max * (p.stroke_max - stroke) / 0.02, 3.0, p.force_max)
         lower[leg] = clip(80.0 * (p.stroke_min - stroke) / 0.02, 0.0, 120.0)
@@ -249,19 +249,19 @@ def vmc_tick(
     total_load = max(m.load[0] + m.load[1] + m.load[2] + m.load[3], 50.0)
     torque = np.empty(4)
     for leg in range(4):
-        goal_x = -pull * SX[leg] + com[0]
+        goal_x = -pull * SIGN_X[leg] + com[0]
         before = m.place[leg, 0]
         furthest = step * rolling
         if climbing:
             goal_x = before
-        elif m.cliff * SX[leg] > 0.0 and m.back_off > 0.0:
-            goal_x -= m.cliff * TUCK
+        elif m.cliff * SIGN_X[leg] > 0.0 and m.back_off > 0.0:
+            goal_x -= m.cliff * TUCK_LENGTH
             furthest = TUCK_RATE * dt
         m.place[leg, 0] = slew(before, goal_x, furthest)
         m.place[leg, 1] = slew(m.place[leg, 1], com[1], step)
         rate_x = (m.place[leg, 0] - before) / dt
-        error_x = HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0]
-        error_y = (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg] + m.place[leg, 1] + m.shift[1] - centres[leg, 1]
+        error_x = HIP_X * SIGN_X[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0]
+        error_y = (HIP_Y + THIGH_Y + TREAD_Y) * SIGN_Y[leg] + m.place[leg, 1] + m.shift[1] - centres[leg, 1]
         error_z = 0.0
         m.lag[leg, 0] = error_x
         m.lag[leg, 1] = error_y
@@ -279,7 +279,7 @@ def vmc_tick(
             t = weight_torque[leg, joint] - jac_c[leg, 2, joint] * m.load[leg]
             t -= (
                 (jac[leg, 0, joint] * push[0] + jac[leg, 1, joint] * push[1])
-                * SPRUNG
+                * SPRUNG_MASS
                 * m.load[leg]
                 / total_load
             )
@@ -312,7 +312,7 @@ def vmc_tick(
         want = ground_speed / WHEEL_RADIUS - spin[leg]
         band = limit / p.wheel_kd
         want = clip(want, dq[wheel] - band, dq[wheel] + band)
-        friction = FRICTIONLOSS * clip(want / 0.5, -1.0, 1.0) + DAMPING * want
+        friction = JOINT_FRICTION * clip(want / 0.5, -1.0, 1.0) + JOINT_DAMPING * want
         out[OUT_DQ, wheel] = want
         out[OUT_KD, wheel] = p.wheel_kd
         if m.hold == 1:
@@ -329,7 +329,7 @@ def vmc_tick(
             if not climbing:
                 # For the sprung mass alone: shanks, wheels and rotors follow the speed loop. With them a stop
                 # overshoots.
-                drive_torque += WHEEL_RADIUS * SPRUNG * push[0] * m.load[leg] / total_load
+                drive_torque += WHEEL_RADIUS * SPRUNG_MASS * push[0] * m.load[leg] / total_load
             out[OUT_TAU, wheel] = hold_torque + friction + drive_torque
         torque[leg] = out[OUT_TAU, wheel] - friction
     if m.hold == 0:

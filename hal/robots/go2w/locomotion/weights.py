@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from hal.npzfile import read_npz
-from hal.robots.go2w.locomotion.rlsar import FRAME, PolicyParams
+from hal.robots.go2w.locomotion.rlsar import FRAME_LENGTH, PolicyParams
 from hal.robots.go2w.locomotion.torchfile import ACTIVATIONS, Layer, PolicyError
 
 FORMAT = "rbtrg-policy-1"
@@ -59,7 +59,7 @@ def load_weights(path: Path) -> tuple[PolicyParams, list[Layer], dict[str, Any]]
         raise PolicyError(f"{path} is not a policy file ({error}): export it again") from error
     if not layers or any(layer.activation not in ACTIVATIONS for layer in layers):
         raise PolicyError(f"{path} holds no layers, or activations other than {', '.join(ACTIVATIONS)}")
-    sizes = [FRAME * len(params.ages), *(layer.weight.shape[0] for layer in layers)]
+    sizes = [FRAME_LENGTH * len(params.ages), *(layer.weight.shape[0] for layer in layers)]
     fit = all(
         layer.weight.ndim == 2 and layer.weight.shape[1] == before and layer.bias.shape == (after,)
         for layer, (before, after) in zip(layers, itertools.pairwise(sizes), strict=True)

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from hal.regular import open_regular
 from hal.robots.go2w.locomotion.torchfile import PolicyError
 
-LARGEST = 200_000
+LARGEST_FILE = 200_000
 """Bytes; the public ones have 5,000."""
 _SLICE = "tag:yaml.org,2002:python/object/apply:builtins.slice"
 """unitree_rl_lab writes "all joints" so."""
@@ -41,9 +41,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """The `key: value` lines of a file. Raises PolicyError."""
     try:
         with open_regular(path) as file:
-            data = file.read(LARGEST + 1)
-        if len(data) > LARGEST:
-            raise PolicyError(f"{path} has more than {LARGEST // 1000} kB: that describes no policy")
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            raise PolicyError(f"{path} has more than {LARGEST_FILE // 1000} kB: that describes no policy")
         tree = yaml.load(data.decode(), Loader=_Loader)
     except FileNotFoundError as error:
         raise PolicyError(f"{path} is missing: give the folder of a policy with its description") from error

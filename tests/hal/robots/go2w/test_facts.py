@@ -21,7 +21,7 @@ def oracle(q: np.ndarray) -> np.ndarray:
     """Wheel centres by chaining the joint transforms one by one."""
     out = []
     for leg in range(4):
-        sx, sy = go2w.SX[leg], go2w.SY[leg]
+        sx, sy = go2w.SIGN_X[leg], go2w.SIGN_Y[leg]
         hip, thigh, calf = q[3 * leg : 3 * leg + 3]
         p = np.array([0.0, go2w.TREAD_Y * sy, -go2w.CALF])
         p = np.array([0.0, 0.0, -go2w.THIGH]) + rot(1, calf) @ p
@@ -38,7 +38,7 @@ def random_poses(n: int) -> np.ndarray:
 
 
 def test_total_mass_is_the_urdfs() -> None:
-    assert pytest.approx(19.521, abs=1e-3) == go2w.MASS
+    assert pytest.approx(19.521, abs=1e-3) == go2w.ROBOT_MASS
 
 
 def test_motor_order_is_the_sdks() -> None:
@@ -77,12 +77,12 @@ def test_jacobians_match_finite_differences() -> None:
 def test_the_wheels_own_angle_moves_nothing() -> None:
     q = random_poses(1)[0]
     turned = q.copy()
-    turned[go2w.WHEELS] += 1.0
+    turned[go2w.WHEEL_JOINTS] += 1.0
     np.testing.assert_array_equal(go2w.wheel_centres(q), go2w.wheel_centres(turned))
 
 
 def test_named_poses_are_inside_the_limits() -> None:
-    for q in (go2w.STAND, go2w.FOLDED):
+    for q in (go2w.STAND, go2w.FOLDED_POSE):
         assert (q >= go2w.JOINT_RANGE[:, 0]).all()
         assert (q <= go2w.JOINT_RANGE[:, 1]).all()
 

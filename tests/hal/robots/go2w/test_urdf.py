@@ -38,16 +38,16 @@ def test_the_wheels_are_where_the_kinematics_put_them(model: mujoco.MjModel, see
     mujoco.mj_kinematics(model, data)
     for leg, name in enumerate(go2w.LEGS):
         wheel = data.body(f"{name}_wheel")
-        tread = wheel.xpos + wheel.xmat.reshape(3, 3) @ [0.0, go2w.TREAD_Y * go2w.SY[leg], 0.0]
+        tread = wheel.xpos + wheel.xmat.reshape(3, 3) @ [0.0, go2w.TREAD_Y * go2w.SIGN_Y[leg], 0.0]
         np.testing.assert_allclose(tread, go2w.wheel_centres(q)[leg], atol=1e-9)
 
 
 def test_it_weighs_what_the_robot_weighs(model: mujoco.MjModel) -> None:
     robot = Xml.fromstring(urdf())
     masses = [float(mass.attrib["value"]) for mass in robot.iter("mass")]
-    assert sum(masses) == pytest.approx(go2w.MASS)
+    assert sum(masses) == pytest.approx(go2w.ROBOT_MASS)
     # MuJoCo takes the root for the world and leaves its mass out.
-    assert model.body_mass.sum() == pytest.approx(go2w.MASS - go2w.BASE.mass)
+    assert model.body_mass.sum() == pytest.approx(go2w.ROBOT_MASS - go2w.BASE_LINK.mass)
     assert ROOT in {link.attrib["name"] for link in robot.iter("link")}
 
 

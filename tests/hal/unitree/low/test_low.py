@@ -22,7 +22,7 @@ from hal.types import NS, ModeRequest, Phase, PostureCommand, VelocityCommand
 from hal.unitree.api import MotionSwitcher, Sport, WireError
 from hal.unitree.layout import LOW_STATE_CDR, crc32
 from hal.unitree.link import LOW_STATE
-from hal.unitree.low.limits import SOFT_START, STIFFEST, Limits
+from hal.unitree.low.limits import SOFT_START, STIFFEST_JOINT, Limits
 from hal.unitree.low.loop import STATE_SILENT, Order, Report
 from hal.unitree.low.wire import L2, B, Packer, low_state
 from tests.hal.contract_suite import ContractSuite, Rig
@@ -383,7 +383,7 @@ def test_no_command_asks_for_more_than_the_limits(seed: int, share: float, since
     assert (out.q <= go2w.JOINT_RANGE[:, 1]).all()
     assert (out.kp >= 0.0).all()
     assert (out.kd >= 0.0).all()
-    assert (out.kp <= STIFFEST * min(1.0, since / SOFT_START) + 1e-9).all()
+    assert (out.kp <= STIFFEST_JOINT * min(1.0, since / SOFT_START) + 1e-9).all()
     torque = out.tau + out.kp * (out.q - state.q) + out.kd * (out.dq - state.dq)
     assert (np.abs(torque) <= share * go2w.TORQUE_LIMIT + 1e-6).all()
 

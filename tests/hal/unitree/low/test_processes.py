@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from hal.unitree.low.watch import SILENCE, silence
+from hal.unitree.low.watch import LONGEST_SILENCE, silence
 
 pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from hal.lidar.config import only
@@ -39,7 +39,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 def test_the_watch_ends_with_the_word_of_the_loop(pipe: tuple[int, int]) -> None:
     os.write(pipe[1], b"tt")
-    threading.Timer(0.5 * SILENCE, os.write, [pipe[1], b"e"]).start()
+    threading.Timer(0.5 * LONGEST_SILENCE, os.write, [pipe[1], b"e"]).start()
     assert silence(pipe[0]) == ""
 
 

@@ -18,7 +18,7 @@ from hal.robots.go2w.locomotion.climb import (
     LIFT,
     LOWER,
     REACH,
-    TIPPING,
+    TIPPING_RATIO,
     back_off,
     climb_tick,
     detect_blocked,
@@ -126,7 +126,7 @@ def test_a_wheel_in_the_air_is_put_down_where_it_is_when_the_trunk_tips(
     m.mode, m.leg, m.way, m.vx = mode, 1, 1.0, 0.3
     m.foot[:] = centres[1] + [0.05, 0.0, 0.03]
     m.lift_x = centres[1, 0]
-    m.tilt[0] = -share * TIPPING * params.lift_tilt
+    m.tilt[0] = -share * TIPPING_RATIO * params.lift_tilt
     climb_tick(m, centres, np.zeros(3), np.eye(3), 0.3, np.zeros(3), DT, params)
     assert m.mode == (mode if after is None else after)
     if after is not None:

@@ -17,19 +17,19 @@ from hal.robots.go2w import facts as go2w
 from hal.robots.go2w.locomotion.climb import DRIVE
 from hal.robots.go2w.locomotion.controllers import OURS
 from hal.robots.go2w.locomotion.hybrid import (
-    ASTRIDE,
-    BLEND,
-    FAST,
+    ASTRIDE_HEIGHT,
+    BLEND_TIME,
+    FAST_SPEED,
     OTHER_TIME,
     PUSH_MOST,
-    SHAKE,
+    SHAKE_SIGMA,
     TURN_MOST,
-    TWIST,
+    TWIST_HEIGHT,
     HybridController,
     mixed,
 )
 from hal.robots.go2w.locomotion.params import VmcParams
-from hal.robots.go2w.locomotion.rlsar import FRAME, PolicyParams
+from hal.robots.go2w.locomotion.rlsar import FRAME_LENGTH, PolicyParams
 from hal.robots.go2w.locomotion.torchfile import Layer
 from hal.robots.go2w.locomotion.vmc import VmcController
 from hal.robots.go2w.locomotion.weights import load_weights, save_weights
@@ -46,7 +46,9 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A policy that keeps its joints where it stands, whatever it sees: it brakes."""
     file = tmp_path_factory.mktemp("policy") / "standing.npz"
     params: PolicyParams = PARAMS
-    layer = Layer(np.zeros((16, FRAME * len(params.ages)), np.float32), np.zeros(16, np.float32), "Identity")
+    layer = Layer(
+        np.zeros((16, FRAME_LENGTH * len(params.ages)), np.float32), np.zeros(16, np.float32), "Identity"
+    )
     save_weights(file, params, [layer], {})
     return file
 
@@ -121,7 +123,7 @@ def test_a_wheel_that_stands_while_the_others_spin_calls_the_policy(
     # Before a post of 10 cm one wheel stood for 4 s and was pushed by so little that it did not count as blocked.
     hybrid, q, dq = HybridController(standing), np.zeros(16), np.zeros(16)
     q[1:12:3], q[2:12:3] = 0.67, -1.3
-    dq[go2w.WHEELS] = 0.5 / go2w.WHEEL_RADIUS
+    dq[go2w.WHEEL_JOINTS] = 0.5 / go2w.WHEEL_RADIUS
     dq[12] *= share
     for tick in range(round(0.9 / hybrid.period)):
         state = LowState(
@@ -170,7 +172,7 @@ def test_a_policy_that_does_not_get_on_is_asked_for_more_and_shaken_and_one_that
     hybrid.climber.step = seen  # type: ignore[method-assign]
     for tick in range(900):
         driver.step(0.5 if tick > 100 else 0.0)
-    assert hybrid.climber.shake == SHAKE, "this policy brakes for ever"
+    assert hybrid.climber.shake == SHAKE_SIGMA, "this policy brakes for ever"
     assert asked[0] == pytest.approx(0.5, abs=0.01)
     assert 0.75 < asked[-1] <= PUSH_MOST
     told = zip(itertools.pairwise(times), itertools.pairwise(asked), strict=True)
@@ -221,12 +223,12 @@ def on_wheels(state: LowState, raised: dict[int, float]) -> LowState:
 @pytest.mark.parametrize(
     ("raised", "twisted"),
     [
-        ({0: 1.2 * TWIST}, True),
-        ({3: 1.2 * TWIST}, True),
-        ({0: 0.7 * TWIST, 3: 0.7 * TWIST}, True),
-        ({0: 0.8 * TWIST}, False),
-        ({0: 1.2 * TWIST, 1: 1.2 * TWIST}, False),
-        ({1: 1.2 * TWIST, 3: 1.2 * TWIST}, False),
+        ({0: 1.2 * TWIST_HEIGHT}, True),
+        ({3: 1.2 * TWIST_HEIGHT}, True),
+        ({0: 0.7 * TWIST_HEIGHT, 3: 0.7 * TWIST_HEIGHT}, True),
+        ({0: 0.8 * TWIST_HEIGHT}, False),
+        ({0: 1.2 * TWIST_HEIGHT, 1: 1.2 * TWIST_HEIGHT}, False),
+        ({1: 1.2 * TWIST_HEIGHT, 3: 1.2 * TWIST_HEIGHT}, False),
         ({}, False),
     ],
     ids=["front", "rear", "diagonal", "little", "ramp", "side slope", "level"],
@@ -240,7 +242,7 @@ def test_where_one_wheel_is_off_the_plane_of_the_others_only_the_policy_drives(
         driver.step()
     rest = sim.low_state()
     state = on_wheels(rest, raised)
-    astride, nearly = on_wheels(rest, {0: 1.1 * ASTRIDE}), on_wheels(rest, {0: 0.8 * ASTRIDE})
+    astride, nearly = on_wheels(rest, {0: 1.1 * ASTRIDE_HEIGHT}), on_wheels(rest, {0: 0.8 * ASTRIDE_HEIGHT})
     for vx, wz in ((0.1, 0.0), (-0.2, 0.3), (0.0, 0.5), (0.5, 0.0)):
         hybrid = HybridController(standing)
         for _ in range(50):
@@ -269,7 +271,7 @@ def test_the_next_climb_begins_without_the_push_of_the_last(standing: Path) -> N
 
 
 def test_slow_it_lifts_wheels_itself(standing: Path) -> None:
-    for speed, yaw in ((FAST - 0.05, 0.0), (0.05 - FAST, np.pi)):
+    for speed, yaw in ((FAST_SPEED - 0.05, 0.0), (0.05 - FAST_SPEED, np.pi)):
         sim, hybrid = on("step_up_5"), HybridController(standing)
         sim.reset(0.0, 0.0, yaw)
         driver = Driver(sim, hybrid)
@@ -302,7 +304,7 @@ def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> N
     for tick in range(1000):
         driver.step(*((0.5, 0.0) if 100 < tick < 600 else (0.0, 0.0)))
     changing = (np.array(shares) > 0.0) & (np.array(shares) < 1.0)
-    assert changing.sum() >= 2 * BLEND / 0.005 - 4, "there and back"
+    assert changing.sum() >= 2 * BLEND_TIME / 0.005 - 4, "there and back"
     assert max(np.array(jumps)[changing]) < 4.5, "Nm from tick to tick; the motors give 23.7"
 
 

@@ -135,7 +135,7 @@ def test_contact_forces_are_those_the_simulator_s_ground_exerts() -> None:
     _run(sim, controller, 0.0, 0.0, 2.0)
     force = controller._memory["force"][0]
     # A quasi-static estimate: 8 percent of the weight is as good as it is at rest.
-    assert force[:, 2].sum() == pytest.approx(go2w.MASS * 9.81, rel=0.08)
+    assert force[:, 2].sum() == pytest.approx(go2w.ROBOT_MASS * 9.81, rel=0.08)
     assert np.abs(force[:, :2].sum(axis=0)).max() < 6.0
     assert (controller._memory["contact"][0] == 1).all()
 

@@ -2,9 +2,10 @@
 
 The file is read from where the user keeps it. Its joints are known by the names of `hal.limbs.MOTORS`, with `_joint`
 behind or without. Everything is taken as it stands: inertias, colliders and their friction, joint limits, the solver's
-options. Two things are not. Meshes that touch nothing are left out. Motors get the torque law of `hal.lowlevel` with
+options. Four things are not. Meshes that touch nothing are left out. Motors get the torque law of `hal.lowlevel` with
 the file's limits; under the integrator of the file (Euler, if it names none) that law is explicit. Sliding friction of
-the wheels is that of the trial, for every shape on the wheel's body."""
+the wheels is that of the trial, for every shape on the wheel's body. Their rolling friction is left out as in our model
+(`hal.mujoco.model`): it takes the grip with which a wheel that rolls keeps its line."""
 
 from __future__ import annotations
 
@@ -21,6 +22,8 @@ from hal.types import Array
 
 PREFIX = "mjcf/"
 """Of the names that nobody here looks for."""
+SPIN_CONDIM = 4
+"""`condim` of a contact that slides and spins, and does not resist rolling."""
 NO_LIMIT = 1e3
 """[Nm] of a motor that the file does not limit."""
 
@@ -80,6 +83,7 @@ class Foreign:
             for k, tread in enumerate(sorted(wheel.geoms, key=lambda geom: -geom.priority)):
                 tread.name = f"{leg}{k or ''}_wheel"
                 tread.friction[0] = friction
+                tread.condim = min(tread.condim, SPIN_CONDIM)
         load(base, payload, [-0.08, 0.0, 0.13])
         for name, torque in zip(MOTORS, self.torque_limit.tolist(), strict=True):
             motor(spec, name, torque)

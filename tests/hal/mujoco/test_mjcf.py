@@ -42,6 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if geom.name.endswith("_wheel"):
             inner = geom.parent.add_geom(type=geom.type, size=0.9 * geom.size, pos=geom.pos, quat=geom.quat)
             inner.friction[0] = 0.4
+            geom.condim, geom.friction[2] = 6, 0.01
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
     spec.add_mesh(name="shell", uservert=np.array(corners, float).ravel())
     root.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="shell", contype=0, conaffinity=0)
@@ -68,6 +69,7 @@ def test_what_stands_in_the_file_counts(folder: Path) -> None:
     assert model.actuator("FL_wheel").forcerange[1] == 15.0
     for name in ("FL_wheel", "FL1_wheel"):
         assert model.geom(name).friction[0] == 0.6, "every shape of a wheel has the trial's friction"
+        assert model.geom(name).condim <= 4, "no wheel spends its grip on rolling"
 
 
 def test_the_model_based_controller_drives_it(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import types
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -128,6 +129,13 @@ class Rig:
         self.backend.request(mode)
         self.run(0.05)
         return self.backend.state()
+
+
+def campaign(test: types.FunctionType) -> types.FunctionType:
+    """A test of the suite that one of its subclasses runs as campaign alone."""
+    own = types.FunctionType(test.__code__, test.__globals__, test.__name__)
+    own.__annotations__ = test.__annotations__
+    return pytest.mark.campaign(own)
 
 
 def of(samples: list[Sample], kind: type[Kind]) -> list[Kind]:

@@ -64,6 +64,7 @@ class TestMujoco(ContractSuite):
 
 
 @needs_shared
+@pytest.mark.campaign
 class TestMujocoWithPolicy(ContractSuite):
     @pytest.fixture
     def rig(self) -> Rig:

@@ -32,7 +32,9 @@ from hal.unitree.motion import GO2W_WHEELS
 
 HOLD = 1.0
 """[s] the last Move is kept."""
-LOW_STATE_PERIOD = NS // 500
+LOW_STATE_RATE = 500
+"""[Hz] of the real robot."""
+LOW_STATE_PERIOD = NS // LOW_STATE_RATE
 BESIDE = GO2W_WHEELS.half_track * np.array([1.0, -1.0, 1.0, -1.0])
 """Of the wheels, to the left [m]."""
 
@@ -213,8 +215,11 @@ class RobotSide:
         lidar: str = "l1",
         topic: str = "",
         robot: Robot | None = None,
+        rate: int = LOW_STATE_RATE,
     ) -> None:
+        """rate: of LowState [Hz]."""
         self.body, self.faults = body, faults or Faults()
+        self._low_period = NS // rate
         robot = robot or describe()
         self._motion = robot.settings.get("unitree", {}).get("motion_mode", "ai-w")
         self._lidar, self._topic = lidar, topic
@@ -390,11 +395,11 @@ class RobotSide:
         f = self.faults
         stamp = now + round(f.epoch * NS)
         if now >= self._low_due:
-            self._low_due = max(self._low_due + LOW_STATE_PERIOD, now)
+            self._low_due = max(self._low_due + self._low_period, now)
             if not f.low_frozen:
                 self._tick = now // 1_000_000 + round(1e3 * f.tick_step)
                 self._write_low()
-            if not f.low_silent and now // LOW_STATE_PERIOD % f.every == 0:
+            if not f.low_silent and now // self._low_period % f.every == 0:
                 self._put(LOW_STATE, self._low_bytes())
         if now >= self._sport_due:
             self._sport_due = max(self._sport_due + NS // 50, now)

@@ -30,8 +30,8 @@ from hal.types import (
 from hal.unitree.api import Sport
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.link import L1_CLOUD
-from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
-from tests.hal.unitree.world import EVERYTHING, HOST_EPOCH, World
+from tests.hal.unitree.robot import LOW_STATE_RATE, Faults, KinematicBody, RobotSide
+from tests.hal.unitree.world import EVERYTHING, HOST_EPOCH, RATE, World
 
 REST = 0.05
 """[m/s]; the body approaches zero exponentially."""
@@ -81,7 +81,7 @@ def test_zero_velocity_sends_stop_move_and_falls_silent():
 
 
 def test_samples_have_host_stamps_rates_and_frames():
-    world = ready(Faults(epoch=0.0))  # the robot's clock says 1970
+    world = ready(Faults(epoch=0.0), rate=LOW_STATE_RATE)  # the robot's clock says 1970
     world.run(1.0)
     samples = world.run(2.0, wz=0.4)
     for kind, rate in ((ImuSample, 250), (JointSample, 50), (LidarScan, 10), (RobotState, 25)):
@@ -113,7 +113,7 @@ def test_the_flipped_l1_shows_the_floor_below():
 
 
 def test_imu_of_the_l1_is_turned_into_the_trunk():
-    world = ready(options=UnitreeConfig(lidars=only("l1"), imu="l1"))
+    world = ready(options=UnitreeConfig(lidars=only("l1"), imu="l1"), rate=LOW_STATE_RATE)
     imu = [s for s in world.run(2.0, wz=0.4) if isinstance(s, ImuSample)]
     assert len(imu) == pytest.approx(500, rel=0.1)
     assert imu[-1].gyro == pytest.approx([0.0, 0.0, 0.38], abs=0.02)
@@ -398,7 +398,7 @@ def test_late_telemetry_holds_the_robot_for_as_long_as_it_lasts(late: float, ans
 
 @pytest.mark.parametrize("step", [-0.6, -3.0, 0.6, 5.0])
 def test_a_step_of_the_robots_clock_is_told_from_a_delay_by_the_round_trip_of_a_request(step: float):
-    world = ready()
+    world = ready(rate=LOW_STATE_RATE)
     world.run(2.0, vx=0.5)
     world.faults.tick_step = step
     world.late = {"motion_switcher": 0.3}  # nobody shows that the way is short
@@ -757,7 +757,7 @@ def test_the_sticks_of_the_robots_own_remote_are_seen(sticks: tuple[float, ...],
 
 
 def test_low_state_with_a_wrong_checksum_is_not_believed():
-    world = ready()
+    world = ready(rate=LOW_STATE_RATE)
     world.run(2.0, vx=0.5)
     world.faults.low_bent = True
     state = world.until(Phase.DISCONNECTED, 0.5, vx=0.5)
@@ -842,7 +842,7 @@ def test_what_cannot_be_is_refused_and_told_with_stream_value_and_range(kind: st
     setattr(world.faults, name, usual)
     world.run(4.0)
     assert world.cause == "balance stand, takes velocity"
-    assert len([s for s in world.run(1.0) if isinstance(s, ImuSample)]) == 250
+    assert len([s for s in world.run(1.0) if isinstance(s, ImuSample)]) == RATE
 
 
 def test_without_the_monitor_nobody_reads_of_lost_messages():

@@ -13,6 +13,8 @@ from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 
 HOST_EPOCH = 1_750_000_000 * NS
 EVERYTHING = "all topics"
+RATE = 125
+"""[Hz] of LowState, a quarter of the real robot's: most of a test's time would go into reading them."""
 L1 = UnitreeConfig(lidars=only("l1"))
 
 
@@ -26,14 +28,16 @@ class World:
         options: UnitreeConfig = L1,
         body: Any = None,
         epoch: int = HOST_EPOCH,
+        rate: int = RATE,
         **kwargs: Any,
     ) -> None:
-        self.epoch = epoch
+        """rate: of LowState [Hz]."""
+        self.epoch, self._step = epoch, NS // rate
         self.body: Any = body or KinematicBody(standing, wheeled=options.robot.wheeled)
         lidar = options.lidars[0] if options.lidars else None
         topic = options.topic(lidar) if lidar else ""
         self.robot = RobotSide(
-            self.body, faults, lidar=lidar.model if lidar else "", topic=topic, robot=options.robot
+            self.body, faults, lidar=lidar.model if lidar else "", topic=topic, robot=options.robot, rate=rate
         )
         self.faults = self.robot.faults
         self.elapsed = 0
@@ -103,7 +107,7 @@ class World:
     def advance(self, seconds: float) -> None:
         end = self.elapsed + round(seconds * NS)
         while self.elapsed < end:
-            self.elapsed = min(end, self.elapsed + 2_000_000)
+            self.elapsed = min(end, self.elapsed + self._step)
             for number, robot in enumerate(self._robots):
                 robot.step(self.elapsed)
                 for service, response in robot.responses(self.elapsed):

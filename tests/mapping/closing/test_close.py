@@ -44,7 +44,7 @@ def true_loops(closed: Closed, truth: Array) -> Array:
 @pytest.fixture(scope="module")
 def round_trip() -> Iterator[tuple[Recording, Array, Closed]]:
     scene, corners = ring(half=(5.0, 3.5))
-    truth = way_through(scene, corners, step=0.5)
+    truth = way_through(scene, corners, step=0.7)
     recording = Recording()
     record(recording, 0, Drive(scene, truth, drifted(truth, STRONG, 3)))
     yield recording, truth, Closing(recording, PARAMS, levelled(truth[0], HEIGHT), MORE).close()
@@ -86,8 +86,8 @@ def test_the_map_along_the_corrected_way_is_the_ground(round_trip: tuple[Recordi
 
 def test_a_second_run_is_put_where_it_was(round_trip: tuple[Recording, Array, Closed]) -> None:
     scene, corners = ring(half=(5.0, 3.5))
-    first = way_through(scene, corners[:4], step=0.5)
-    second = way_through(scene, [corners[2], corners[1], corners[0]], step=0.5)
+    first = way_through(scene, corners[:4], step=0.7)
+    second = way_through(scene, [corners[2], corners[1], corners[0]], step=0.7)
     recording = Recording()
     for run, truth in enumerate((first, second)):
         record(recording, run, Drive(scene, truth, drifted(truth, Drift(), run), seed=run))

@@ -35,7 +35,7 @@ COARSE = ("elevation.resolution=0.08",)
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene, corners = ring(half=(5.0, 3.5))
-    truth = way_through(scene, corners, step=0.5)
+    truth = way_through(scene, corners, step=0.7)
     folder = tmp_path_factory.mktemp("run")
     write_log(folder / "run.mcap", Drive(scene, truth, drifted(truth, STRONG, 3)), COARSE)
     return folder
@@ -45,7 +45,7 @@ def test_a_run_becomes_a_map_with_its_loops_closed_and_one_from_elsewhere_is_lef
     run: Path, tmp_path: Path
 ) -> None:
     scene, corners = ring(half=(9.0, 2.0), seed=7)
-    truth = way_through(scene, corners[:3], step=0.5)[:30]
+    truth = way_through(scene, corners[:3], step=0.7)[:16]
     other, out = tmp_path / "other.mcap", tmp_path / "map.npz"
     write_log(other, Drive(scene, truth, drifted(truth, Drift(), 5)), COARSE)
     result = CliRunner().invoke(

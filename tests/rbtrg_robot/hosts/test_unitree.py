@@ -19,7 +19,7 @@ from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.orders.words import goal_line, robot_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.wire.messages import decode
-from tests.hal.unitree.robot import MujocoBody
+from tests.hal.unitree.robot import LOW_STATE_RATE, MujocoBody
 from tests.hal.unitree.world import World
 
 
@@ -31,7 +31,7 @@ class Wired:
         controller = "vmc" if robot.wheeled else robot.usual
         how = {"robot": robot, "controller": controller, "lidars": config.lidars}
         body = MujocoBody(config.load_scene(), lidar_step=4, seed=3, **how)
-        self.world = World(options=config.unitree_options(), body=body, epoch=0)
+        self.world = World(options=config.unitree_options(), body=body, epoch=0, rate=LOW_STATE_RATE)
         self.backend = self.world.backend
         self.capabilities = self.backend.capabilities
 
@@ -178,7 +178,7 @@ def test_a_robot_on_feet_walks_to_its_goal(wired: tuple[Lockstep, World]) -> Non
     """The Go2 by its own sport service, as the trot of the simulation stands behind it."""
     stack, world = wired
     body = world.body
-    to = (body.x + 1.5, body.y + 0.5)
+    to = (body.x + 1.0, body.y + 0.3)
     stack.send_goal(*to)
     status = stack.finish_goal(40.0)
     assert (status.state, status.reason) == ("reached", "")

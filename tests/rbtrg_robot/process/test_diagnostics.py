@@ -21,6 +21,7 @@ from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.stages.robot import STEP_PERIOD, RobotStage
 from rbtrg_robot.wire.messages import decode, encode
+from tests.hal.unitree.robot import LOW_STATE_RATE
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.process.test_broken_messages import supervisor
 
@@ -187,7 +188,7 @@ def test_the_robot_process_tells_the_figures_of_its_backend_once_a_second() -> N
 
 
 def test_how_well_the_link_to_the_robot_is_is_told() -> None:
-    world = World(options=UnitreeConfig(lidars=only("xt16")))
+    world = World(options=UnitreeConfig(lidars=only("xt16")), rate=LOW_STATE_RATE)
     world.backend.connect()
     world.backend.diagnostics()
     world.run(1.0)

@@ -122,8 +122,9 @@ class LidarAlone:
         frame = voxel_down_sample(cloud, 0.5 * MAP_VOXEL)
         match = quality(self._planes, frame, np.ascontiguousarray(pose))
         place = POSITION_SIGMA**2 + match.born
+        known = self._planes.empty or match.overlap >= self._params.health.overlap_lost
+        fits = known and match.inliers >= FITTING_SHARE
         self._planes.insert(frame, match.pose, place)
-        fits = match.inliers >= FITTING_SHARE
         dt = (sweep.end - since) / NS if since else math.inf
         return ScanOdometry(
             stamp=sweep.end,
@@ -135,7 +136,7 @@ class LidarAlone:
             health=Health.DEGRADED if fits else Health.LOST,
             reason=self.words
             if fits
-            else f"{self.words}; {match.inliers:.0%} of the scan lies on the map's surfaces",
+            else f"{self.words}; {match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that fits it",
             overlap=match.overlap,
             inliers=match.inliers,
             residual=match.residual,

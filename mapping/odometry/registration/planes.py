@@ -1,7 +1,9 @@
 """A voxel map of planes: how well a scan fits the local map, and in which directions it fits at all.
 
 Every voxel keeps count, mean and covariance of its points, and the plane through them. KISS-ICP returns only a pose.
-The plane residuals at that pose give overlap, residual and the information matrix that registration lacks."""
+The plane residuals at that pose give overlap, residual and the information matrix that registration lacks.
+
+A wall is thinner than a voxel: what is seen of it from behind is another plane, in the voxel's back side."""
 
 from __future__ import annotations
 
@@ -23,6 +25,9 @@ PLANE_POINTS = 5
 EARNED_SCANS = 15.0
 """Scans after which a surface counts in full; before that it counts with the square of their share. A person who
 walks past at 0.5 m/s is in a voxel for 8 scans."""
+BACK_COSINE = 0.2
+"""A ray that meets a plane from behind at more than 12 deg sees another surface. At less the noise of the normal
+decides."""
 LEVEL_SHARE = 0.01
 """Share of upright surface that is only noise of level ground: level ground tells nothing of where it was seen first.
 """
@@ -46,10 +51,11 @@ def _slot(keys: NDArray[np.int64], kx: int, ky: int, kz: int) -> int:
 
 @borrows
 def _plane(stats: Array, plane: Array) -> None:
-    """Plane of one voxel from its sums: unit normal (3,) and its weight [0..1], 0 if there is no plane.
+    """Plane of one voxel from its sums: unit normal (3,) towards where it was seen from, and its weight [0..1], 0 if
+    there is no plane.
 
-    `stats` (12,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point), scans earned, newest
-    scan."""
+    `stats` (15,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point), scans earned, newest
+    scan, sum of the unit rays that met it."""
     n = stats[0]
     mx, my, mz = stats[1] / n, stats[2] / n, stats[3] / n
     a, b, c = stats[4] / n - mx * mx, stats[5] / n - mx * my, stats[6] / n - mx * mz
@@ -82,6 +88,19 @@ def _plane(stats: Array, plane: Array) -> None:
             plane[0], plane[1], plane[2] = x / length, y / length, z / length
     if best > 0.0:
         plane[3] = (stats[10] / EARNED_SCANS) ** 2
+        if plane[0] * stats[12] + plane[1] * stats[13] + plane[2] * stats[14] > 0.0:
+            plane[0], plane[1], plane[2] = -plane[0], -plane[1], -plane[2]
+
+
+@borrows
+def _renew(stats: Array, plane: Array) -> None:
+    """Fit the plane of a voxel anew, where its points are enough."""
+    n = stats[0]
+    if n >= PLANE_POINTS:
+        _plane(stats, plane)
+        for k in range(3):
+            plane[5 + k] = stats[1 + k] / n
+        plane[4] = 0.0
 
 
 @njit(cache=True)
@@ -98,14 +117,22 @@ def _insert(
     born: float,
 ) -> int:
     """Add points (n, 3) in the body frame at `pose`, of scan number `scan` that counts as `earned` scans. Returns the
-    number of new voxels, which remember `born`."""
+    number of new voxels, which remember `born`.
+
+    The last number of a key is twice the voxel's height, and one more for its back side."""
     new = 0
     for i in range(len(points)):
-        x = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2] + pose[0, 3]
-        y = pose[1, 0] * points[i, 0] + pose[1, 1] * points[i, 1] + pose[1, 2] * points[i, 2] + pose[1, 3]
-        z = pose[2, 0] * points[i, 0] + pose[2, 1] * points[i, 1] + pose[2, 2] * points[i, 2] + pose[2, 3]
-        kx, ky, kz = math.floor(x / size), math.floor(y / size), math.floor(z / size)
+        rx = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2]
+        ry = pose[1, 0] * points[i, 0] + pose[1, 1] * points[i, 1] + pose[1, 2] * points[i, 2]
+        rz = pose[2, 0] * points[i, 0] + pose[2, 1] * points[i, 1] + pose[2, 2] * points[i, 2]
+        x, y, z = rx + pose[0, 3], ry + pose[1, 3], rz + pose[2, 3]
+        kx, ky, kz = math.floor(x / size), math.floor(y / size), 2 * math.floor(z / size)
         s = _slot(keys, kx, ky, kz)
+        if s >= 0 and plane[s, 3] > 0.0:
+            along = plane[s, 0] * rx + plane[s, 1] * ry + plane[s, 2] * rz
+            if along > 0.0 and along * along > BACK_COSINE**2 * (rx * rx + ry * ry + rz * rz):
+                kz += 1
+                s = _slot(keys, kx, ky, kz)
         if s < 0:
             s = -s - 1
             keys[s] = ((kx + 1048576) << 42) | ((ky + 1048576) << 21) | (kz + 1048576)
@@ -134,6 +161,10 @@ def _insert(
         stats[s, 7] += y * y
         stats[s, 8] += y * z
         stats[s, 9] += z * z
+        away = math.sqrt(rx * rx + ry * ry + rz * rz) + 1e-9
+        stats[s, 12] += rx / away
+        stats[s, 13] += ry / away
+        stats[s, 14] += rz / away
         plane[s, 4] = 1.0  # stale
     return new
 
@@ -179,28 +210,32 @@ def _fit(
         x = r00 * px + r01 * py + r02 * pz + tx
         y = r10 * px + r11 * py + r12 * pz + ty
         z = r20 * px + r21 * py + r22 * pz + tz
-        slot[i] = _slot(keys, math.floor(x / size), math.floor(y / size), math.floor(z / size))
+        slot[i] = _slot(keys, math.floor(x / size), math.floor(y / size), 2 * math.floor(z / size))
     for i in range(len(points)):
         s = slot[i]
         if s < 0:
             continue
         seen += 1
         if plane[s, 4] > 0.0:
-            n = stats[s, 0]
-            if n < PLANE_POINTS:
-                continue
-            _plane(stats[s], plane[s])
-            for k in range(3):
-                plane[s, 5 + k] = stats[s, 1 + k] / n
-            plane[s, 4] = 0.0
+            _renew(stats[s], plane[s])
         if plane[s, 3] == 0.0:
             continue
-        planar += 1
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         rx = r00 * px + r01 * py + r02 * pz
         ry = r10 * px + r11 * py + r12 * pz
         rz = r20 * px + r21 * py + r22 * pz
         x, y, z = rx + tx, ry + ty, rz + tz
+        along = plane[s, 0] * rx + plane[s, 1] * ry + plane[s, 2] * rz
+        if along > 0.0 and along * along > BACK_COSINE**2 * (rx * rx + ry * ry + rz * rz):
+            kx, ky, kz = math.floor(x / size), math.floor(y / size), 2 * math.floor(z / size) + 1
+            s = _slot(keys, kx, ky, kz)
+            if s < 0:
+                continue
+            if plane[s, 4] > 0.0:
+                _renew(stats[s], plane[s])
+            if plane[s, 3] == 0.0:
+                continue
+        planar += 1
         nx, ny, nz = plane[s, 0], plane[s, 1], plane[s, 2]
         r = (
             nx * (x - anchor[s, 0] - plane[s, 5])
@@ -274,12 +309,17 @@ class VoxelPlanes:
         self._keys = np.full(TABLE_SLOTS, -1, np.int64)
         self._anchor = np.zeros((TABLE_SLOTS, 4))
         """First point [m], and what was said of its birth."""
-        self._stats = np.zeros((TABLE_SLOTS, 12))
+        self._stats = np.zeros((TABLE_SLOTS, 15))
         self._plane = np.zeros((TABLE_SLOTS, 8))
         """Unit normal, weight, whether points came since, mean of the points relative to the anchor. What a fit reads
         lies together."""
         self._used = 0
         self._scans = 0
+
+    @property
+    def empty(self) -> bool:
+        """Whether no scan was inserted."""
+        return not self._scans
 
     def insert(self, points: Array, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """Add points (n, 3) [m] of a scan, body frame, at `pose` (4, 4), whose planar position has the variance

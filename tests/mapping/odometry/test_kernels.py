@@ -330,6 +330,34 @@ def test_the_fit_to_planes_equals_numpy() -> None:
     np.testing.assert_allclose(b, want_b, rtol=1e-6, atol=1e-6 * np.abs(want_b).max())
 
 
+def test_the_back_of_a_thin_wall_is_another_surface() -> None:
+    """A wall of 0.12 m in voxels of 0.4 m: its faces are 0.12 m apart, which is within the gate."""
+    rng = np.random.default_rng(15)
+    planes = VoxelPlanes(0.4, 20.0)
+    near, far = np.eye(4), np.eye(4)
+    near[1, 3], far[1, 3] = -2.0, 2.2
+
+    def face(y: float, pose: np.ndarray) -> np.ndarray:
+        points = np.column_stack(
+            [rng.uniform(-1.5, 1.5, 2000), rng.normal(y, 0.003, 2000), rng.uniform(0, 1, 2000)]
+        )
+        return np.ascontiguousarray(points - pose[:3, 3])
+
+    for _ in range(2):
+        planes.insert(face(0.05, near), near, settled=True)
+        planes.fit(face(0.05, near), near, 0.15, 0.05)
+    _, _, seen, planar, *_ = planes.fit(face(0.17, far), far, 0.15, 0.05)
+    assert seen > 1800
+    assert planar < 0.02 * seen, "nobody saw the wall from there"
+    for _ in range(2):
+        planes.insert(face(0.17, far), far, settled=True)
+    for pose, y in ((near, 0.05), (far, 0.17)):
+        _, b, _, planar, inliers, total, _ = planes.fit(face(y, pose), pose, 0.15, 1e3)
+        assert inliers == planar > 1500
+        assert np.sqrt(total / inliers) < 0.006
+        assert abs(b[1]) / inliers < 0.001, "nothing pulls the robot towards the other face"
+
+
 @pytest.mark.parametrize(
     ("seen", "weight"),
     [

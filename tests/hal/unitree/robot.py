@@ -418,7 +418,7 @@ class RobotSide:
             )
             self._put(L1_IMU, encode_imu(raw, "utlidar_imu", f.wxyz))
         points = self.body.scan()
-        if points is not None and self._topic and not self.faults.lidar_silent:
+        if points is not None and len(points) and self._topic and not self.faults.lidar_silent:
             base = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float64)
             local = (base - self._mount[1]) @ self._mount[0]
             out = points.copy()

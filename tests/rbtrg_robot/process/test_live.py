@@ -46,7 +46,7 @@ class Stack:
         self.logs = folder / "logs"
         self.port = free_port()
 
-    def run(self, *arguments: str, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
+    def run(self, *arguments: str, limit: float = 120.0) -> subprocess.CompletedProcess[str]:
         return command(self.folder, *arguments, limit=limit)
 
     def up(self, *without: str) -> subprocess.CompletedProcess[str]:

@@ -34,6 +34,13 @@ class UnitreeConfig(BaseModel):
         "any other one gets "
         "a third of the torque and 0.2 m/s",
     )
+    law_age: float = Field(
+        default=0.001,
+        ge=0.0005,
+        le=0.02,
+        description="[s] level low: age of the speed by which a motor damps, which bounds its damping; in the vendor's "
+        "simulator two steps and a command's way, 0.012",
+    )
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
     imu_yaw: float = Field(
         default=0.0,

@@ -84,6 +84,7 @@ class LowLevelBackend:
             "policy": policy,
             "imu_yaw": self.options.imu_yaw,
             "check_crc": self.options.check_crc,
+            "law_age": self.options.law_age,
             "share": 1.0 if self._tried else TETHER_SHARE,
             "max_vx": self.options.max_vx if self._tried else TETHER_VX,
         }

@@ -13,8 +13,11 @@ from hal.robots.go2w import facts as go2w
 from hal.types import Array
 from hal.unitree.low.wire import MOTORS
 
-STIFFEST_JOINT, MOST_DAMPED = 400.0, 20.0
-"""[Nm/rad] and [Nms/rad]: above what any controller of ours asks for (300 and 8)."""
+STIFFEST_JOINT = 400.0
+"""[Nm/rad], above what any controller of ours asks for (300)."""
+DAMPED_INERTIA = np.array([0.014, 0.024, 0.029] * 4 + [0.011] * 4)
+"""(16,) [kg m^2] that damping of all hips, all thighs, all calves or all wheels at once has to brake, in the pose where
+it is least. Damping above it over the age of the speed that it is computed from makes the joints ring."""
 SOFT_START = 1.0
 """[s] in which the stiffness grows from nothing, after the motors were off."""
 OVERSPEED_RATIO = 1.25
@@ -28,10 +31,12 @@ HOT_WINDING = 90.0
 
 
 class Limits:
-    """Of one robot's motors. `share` of the torque limits is allowed: less while the controller is tried."""
+    """Of one robot's motors. `share` of the torque limits is allowed: less while the controller is tried.
+    `law_age` [s]: see `UnitreeConfig`."""
 
-    def __init__(self, share: float = 1.0) -> None:
+    def __init__(self, share: float = 1.0, law_age: float = 0.001) -> None:
         self._torque = share * go2w.TORQUE_LIMIT
+        self._most_damped = DAMPED_INERTIA / law_age
         self._bad = 0
         self._out = LowCommand(*(np.zeros(MOTORS) for _ in range(5)))
         self._since = -math.inf
@@ -88,7 +93,7 @@ class Limits:
         np.clip(out.dq, -go2w.SPEED_LIMIT, go2w.SPEED_LIMIT, out=out.dq)
         np.clip(out.kp, 0.0, STIFFEST_JOINT, out=out.kp)
         out.kp *= self._rise(state.time)
-        np.clip(out.kd, 0.0, MOST_DAMPED, out=out.kd)
+        np.clip(out.kd, 0.0, self._most_damped, out=out.kd)
         torque: Array = np.abs(out.tau + out.kp * (out.q - state.q) + out.kd * (out.dq - state.dq))
         factor = np.minimum(1.0, self._torque / np.maximum(torque, 1e-9))
         for term in (out.tau, out.kp, out.kd):

@@ -132,9 +132,10 @@ class MotorLoop:
         check_crc: bool = True,
         share: float = 1.0,
         max_vx: float = math.inf,
+        law_age: float = 0.001,
     ) -> None:
         """share: of the torque limits; max_vx [m/s]: both are small while a controller is tried with the wheels off the
-        ground."""
+        ground. law_age [s]: see `UnitreeConfig`."""
         self._controller, self._imu_yaw, self._check_crc, self._max_vx = (
             controller,
             imu_yaw,
@@ -142,7 +143,7 @@ class MotorLoop:
             max_vx,
         )
         self._modes = Modes(controller, LEGS)
-        self._limits = Limits(share)
+        self._limits = Limits(share, law_age)
         self._packer = Packer()
         self._damped = damped()
         self._order, self._ordered_at = Order(), -math.inf

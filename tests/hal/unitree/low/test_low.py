@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from hal.contract import BackendError
 from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.sim import Simulation
 from hal.postures.motion import damped
 from hal.robots.go2w import facts as go2w
 from hal.rotation import quaternion, rotation_rpy, up_of
@@ -397,6 +399,26 @@ def test_a_command_within_the_limits_is_not_changed() -> None:
     assert out is not None
     for name in ("q", "dq", "tau", "kp", "kd"):
         assert np.allclose(getattr(out, name), getattr(command, name))
+
+
+@pytest.mark.parametrize("pose", [go2w.STAND, go2w.FOLDED_POSE], ids=["stands", "lies"])
+def test_no_damping_rings_that_comes_as_late_as_it_was_told(pose: np.ndarray) -> None:
+    """x'' = -d x' with a speed one period old is stable while d times the period is below 1."""
+    age = 0.012
+    sim = Simulation(np.zeros((9, 9), np.float32), 0.5, (-2.0, -2.0))
+    where = [sim.model.joint(motor) for motor in go2w.MOTORS]
+    sim.data.qpos[[int(joint.qposadr[0]) for joint in where]] = pose
+    mujoco.mj_forward(sim.model, sim.data)
+    inverse = np.zeros((sim.model.nv, sim.model.nv))
+    mujoco.mj_solveM(sim.model, sim.data, inverse, np.eye(sim.model.nv))
+    motors = [int(joint.dofadr[0]) for joint in where]
+    mobility = inverse[np.ix_(motors, motors)]
+    state = LowState(10.0, pose, np.zeros(16), *np.zeros((4, 16)))
+    out = Limits(law_age=age).apply(LowCommand(pose, *np.zeros((3, 16)), np.full(16, 8.0)), state)
+    assert out is not None
+    for kind in ([0, 3, 6, 9], [1, 4, 7, 10], [2, 5, 8, 11], [12, 13, 14, 15]):
+        fastest = np.linalg.eigvals(mobility[np.ix_(kind, kind)] * out.kd[kind]).real.max()
+        assert 0.4 < age * fastest <= 1.02, "neither rings nor is held back more than need be"
 
 
 @given(st.binary(max_size=200))

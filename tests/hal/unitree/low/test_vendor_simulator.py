@@ -1,10 +1,8 @@
 """Our controllers at the motors of the vendor's public simulator, over DDS and in real time.
 
 Needs a checkout of `unitree_mujoco`, named by UNITREE_MUJOCO, and a Python with its SDK (`unitree_sdk2py` with
-cyclonedds 0.10.2), mujoco and pygame, named by CYCLONEDDS_0_10_PYTHON. Run it on a quiet machine: nothing waits.
-
-The simulator's own step is 5 ms. With the way over DDS its law of torque is then later than our stand-up bears, so it
-gets 3 ms, a number of its configuration.
+cyclonedds 0.10.2), mujoco and pygame, named by CYCLONEDDS_0_10_PYTHON. Run it on a quiet machine: nothing waits. It
+steps by its own 5 ms.
 """
 
 from __future__ import annotations
@@ -33,8 +31,6 @@ from tests.places import SHARED
 CHECKOUT, PYTHON = os.environ.get("UNITREE_MUJOCO", ""), os.environ.get("CYCLONEDDS_0_10_PYTHON", "")
 SCRIPT = Path(__file__).parent / "vendor_simulator.py"
 DOMAIN = 20 + (os.getpid() + 31) % 200
-STEP = 0.003
-"""[s]"""
 
 pytestmark = pytest.mark.skipif(
     not (CHECKOUT and PYTHON),
@@ -73,13 +69,13 @@ class Vendor:
     """The simulator as a process, and our backend, read and driven at 100 Hz."""
 
     def __init__(self, folder: Path, controller: str) -> None:
-        command = [PYTHON, str(SCRIPT), CHECKOUT, str(scene(folder)), str(DOMAIN), str(STEP)]
+        command = [PYTHON, str(SCRIPT), CHECKOUT, str(scene(folder)), str(DOMAIN)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.truth: dict[str, Any] = {}
         assert self.process.stdout is not None
         self.truth.update(json.loads(self.process.stdout.readline()))
         threading.Thread(target=self._collect, daemon=True).start()
-        options = UnitreeConfig(level="low", tried=(controller,), lidars=(), domain=DOMAIN)
+        options = UnitreeConfig(level="low", tried=(controller,), lidars=(), domain=DOMAIN, law_age=0.012)
         self.backend = LowLevelBackend("lo", DOMAIN, options, controller)
 
     def _collect(self) -> None:

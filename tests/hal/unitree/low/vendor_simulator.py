@@ -1,7 +1,7 @@
 """The vendor's public simulator (`unitree_mujoco/simulate_python`), run as it is, without a window. For a Python that
 has mujoco, pygame and the vendor's SDK (`unitree_sdk2py`, cyclonedds 0.10.2); nothing of ours is imported.
 
-    python vendor_simulator.py FOLDER_OF_UNITREE_MUJOCO SCENE.xml DOMAIN STEP
+    python vendor_simulator.py FOLDER_OF_UNITREE_MUJOCO SCENE.xml DOMAIN
 
 What it lacks is added from outside: it counts no tick, which the robot does in ms, and it has no mode switcher, which
 here says that no motion service is active. On standard output comes a JSON line with the truth 20 times a second. It
@@ -15,7 +15,7 @@ import sys
 import time
 import types
 
-ROOT, SCENE, DOMAIN, STEP = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+ROOT, SCENE, DOMAIN = sys.argv[1], sys.argv[2], int(sys.argv[3])
 FOLDER = os.path.join(ROOT, "simulate_python")
 os.chdir(FOLDER)
 sys.path.insert(0, FOLDER)
@@ -27,7 +27,6 @@ from unitree_sdk2py.core import channel  # noqa: E402
 from unitree_sdk2py.rpc.server import Server  # noqa: E402
 
 config.ROBOT, config.ROBOT_SCENE, config.DOMAIN_ID, config.INTERFACE = "go2w", SCENE, DOMAIN, "lo"
-config.SIMULATE_DT = STEP
 config.USE_JOYSTICK = config.PRINT_SCENE_INFORMATION = False
 
 

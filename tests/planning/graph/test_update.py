@@ -192,7 +192,7 @@ def test_seen_terrain_replaces_frontiers() -> None:
     assert graph.nodes[:, 0].max() > 4.5
 
 
-def test_two_thousand_updates_of_a_standing_robot_stay_flat() -> None:
+def test_a_thousand_updates_of_a_standing_robot_stay_flat() -> None:
     rng = np.random.default_rng(0)
     z = np.zeros((44, 44), np.float32)
     z[:4] = 0.5
@@ -202,18 +202,18 @@ def test_two_thousand_updates_of_a_standing_robot_stay_flat() -> None:
     edges = graph.edges
     process = psutil.Process()
     resident = 0
-    for k in range(2000):
+    for k in range(1000):
         noise = rng.normal(0.0, 0.005, (12, 12)).astype(np.float32)
         grid.height[16:28, 16:28] = z[16:28, 16:28] + noise  # in place, as a mapper's buffer is
         graph.update(grid, [(16, 16, 28, 28)])
         assert graph.node_ids.tobytes() == ids.tobytes()
-        if k == 200:
+        if k == 100:
             gc.collect()
             resident = process.memory_info().rss
     gc.collect()
     np.testing.assert_array_equal(graph.edges, edges)
-    assert graph.version == 2001
-    assert process.memory_info().rss - resident < 0.8e6, "444 bytes an update"
+    assert graph.version == 1001
+    assert process.memory_info().rss - resident < 0.4e6, "444 bytes an update"
 
 
 def test_a_start_in_a_new_obstacle_keeps_the_graph_of_before() -> None:

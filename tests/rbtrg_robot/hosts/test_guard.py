@@ -59,7 +59,7 @@ def test_what_steps_behind_a_reversing_robot_is_not_touched() -> None:
         gap = truth(stack)[0] - 0.35 - near[0][1]
         assert 0.25 < gap < 0.7, "behind its tail, and further than it takes to brake"
         assert speed(stack) > 0.3
-        assert by_hand(stack, 4.0, -0.4, near=near) > 0.0
+        assert by_hand(stack, 2.5, -0.4, near=near) > 0.0
         assert speed(stack) < 0.05
         for _ in range(8):  # it creeps up to the last centimetre
             if "behind" in stack.newest[t.ROBOT_STATE].hold:
@@ -90,10 +90,10 @@ def test_nobody_drives_it_into_a_wall_by_hand(way: float) -> None:
     with stack_with(box(*near, 0.8)) as stack:
         stack.wait_ready()
         # No LiDAR looks backward past the body: ground that it has not seen ends that way before the wall does.
-        assert 0.0 < by_hand(stack, 5.0, 0.6 * way, near=near) < (0.15 if way > 0.0 else 0.5)
+        assert 0.0 < by_hand(stack, 4.0, 0.6 * way, near=near) < (0.15 if way > 0.0 else 0.5)
         assert speed(stack) < 0.05
         assert stack.newest[t.ROBOT_STATE].hold.startswith("guard: ")
-        closest = by_hand(stack, 3.0, 0.3 * way, 0.8, near=near)
+        closest = by_hand(stack, 2.0, 0.3 * way, 0.8, near=near)
         assert closest > 0.0, "its corners do not touch when it turns there either"
 
 
@@ -142,11 +142,11 @@ def test_it_gets_over_a_kerb_of_its_envelope(tmp_path: Path) -> None:
     [
         (0.5, 30.0, "xt16_l1"),
         pytest.param(-0.5, 0.0, "xt16_l1", marks=pytest.mark.campaign),
-        (0.5, 0.0, "xt16"),
+        pytest.param(0.5, 0.0, "xt16", marks=pytest.mark.campaign),
     ],
 )
 def test_nobody_drives_it_over_an_edge_by_hand(tmp_path: Path, vx: float, lean: float, lidars: str) -> None:
-    """Whether the LiDARs see the ground below the edge or not."""
+    """Whether the LiDARs see the ground below the edge or not; of a pit that nobody sees, test_lidars.py tells, too."""
     over, lowest = push_to_edge(vx, math.radians(lean), lidars, tmp_path)
     assert over < 0.04, "the wheels stand 0.1 m further back than the corners of the body"
     assert lowest > 0.3

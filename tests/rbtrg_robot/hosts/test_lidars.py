@@ -196,7 +196,7 @@ def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> N
         health: Any = made.newest[t.ODOM_HEALTH]
         assert (health.health, "the main LiDAR is silent" in health.reason) == ("degraded", True)
         assert "nothing from the main LiDAR" in made.newest[t.MAP_STATUS].warning
-        run(made, 3.0)
+        run(made, 1.5)
         held = made.newest[t.ODOM].pose.pose.position
         assert abs(held.x - moved(made)) < 0.15
         assert made.newest[t.ROBOT_STATE].hold == ""

@@ -28,7 +28,13 @@ def lean(stack: Lockstep) -> float:
 @pytest.fixture
 def looking() -> Iterator[Lockstep]:
     """Nose down: without the LiDAR in the head nothing but ground taken for granted lies before its feet."""
-    config = load(scene="lanes:41,level=4,controller=vmc", controller="vmc", lidars=only("xt16"))
+    config = load(
+        None,
+        ["sim.lidar_step=4"],
+        scene="lanes:41,level=4,controller=vmc",
+        controller="vmc",
+        lidars=only("xt16"),
+    )
     with Lockstep(config) as stack:
         stack.wait_ready()
         stack.send_goal(*config.load_scene().goals["end"][:2])

@@ -87,7 +87,7 @@ def drive(folder: Path) -> tuple[StackConfig, Path]:
     """Replanning while the map grows, recorded in lockstep."""
     config = load(
         None,
-        ["recorder.profile=full", "planner.update_period=0.3", "sim.lidar_step=4"],
+        ["recorder.profile=full", "planner.update_period=0.3", "sim.lidar_step=8"],
         scene="yard",
         map_file="",
         seed=3,

@@ -108,9 +108,10 @@ def _far(graph: TraversalGraph, grid: ElevationGrid) -> int:
     """The node farthest from the first one to which a way leads: edges may lead to others, by turns for which there is
     no room."""
     away = np.hypot(*(graph.nodes[:, :2] - graph.nodes[0, :2]).T)
+    table = RiskTable(graph, grid, BODY)
     for node in np.argsort(-away, kind="stable").tolist():
         with contextlib.suppress(NoRoute):
-            plan(graph, grid, PlanRequest(0, node), BODY)
+            plan(graph, grid, PlanRequest(0, node), BODY, table)
             return int(node)
     raise NoRoute(NoRouteReason.NO_ROUTE, "no node of the map can be reached: take another map")
 

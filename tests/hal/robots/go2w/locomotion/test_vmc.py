@@ -280,7 +280,7 @@ def test_a_turn_waits_for_a_wheel_that_is_held_or_dragged_away() -> None:
 
 
 @pytest.mark.parametrize(
-    ("height", "at", "angle"), [(0.04, 0.0, 0.0), campaign(0.08, -0.2, 0.0), (0.08, 0.0, 1.3)]
+    ("height", "at", "angle"), [(0.04, 0.0, 0.0), campaign(0.08, -0.2, 0.0), campaign(0.08, 0.0, 1.3)]
 )
 def test_turning_astride_a_bar_does_not_tip_it(height: float, at: float, angle: float) -> None:
     tipped, turned = turn_on_bar(VmcController(), height, at, angle, 1)
@@ -300,15 +300,14 @@ def test_no_wheel_is_lifted_while_the_trunk_tips() -> None:
 
 
 def test_what_a_turn_leaves_in_the_legs_is_no_block() -> None:
-    for turn in (0.8, -0.8):
-        for after in (0.2, 0.4):
-            sim, controller = _simulation(0.0), VmcController()
-            sim.reset()
-            _run(sim, controller, 0.0, turn, 2.0)
-            _run(sim, controller, 0.45, after, 1.0)
-            start = sim.position
-            _run(sim, controller, 0.45, after, 1.0)
-            assert np.linalg.norm(sim.position - start) > 0.3
+    for turn, after in ((0.8, 0.2), (-0.8, 0.4)):
+        sim, controller = _simulation(0.0), VmcController()
+        sim.reset()
+        _run(sim, controller, 0.0, turn, 2.0)
+        _run(sim, controller, 0.45, after, 1.0)
+        start = sim.position
+        _run(sim, controller, 0.45, after, 1.0)
+        assert np.linalg.norm(sim.position - start) > 0.3
 
 
 def test_turns_on_a_ramp() -> None:
@@ -329,11 +328,11 @@ def test_holds_its_place_level_on_a_slope() -> None:
 @pytest.mark.parametrize(
     ("speed", "yaw_rate", "degrees", "friction", "limit"),
     [
-        (0.5, 0.0, 0.0, 0.8, 0.20),
+        campaign(0.5, 0.0, 0.0, 0.8, 0.20),
         (0.8, 0.0, 0.0, 0.6, 0.25),
         (0.5, 0.8, 0.0, 0.8, 0.28),
         (0.5, 0.0, 15.0, 0.8, 0.22),
-        (-0.5, 0.0, 0.0, 0.4, 0.25),
+        campaign(-0.5, 0.0, 0.0, 0.4, 0.25),
     ],
 )
 def test_a_zero_command_brings_it_to_rest_at_once_and_for_good(
@@ -374,7 +373,9 @@ def test_same_input_gives_the_same_command_after_reset() -> None:
     assert np.isfinite(outputs[0]).all()
 
 
-@pytest.mark.parametrize(("course", "run"), [("step_up_10", 0), ("ramp_up_20", 1), ("step_down_15", 1)])
+@pytest.mark.parametrize(
+    ("course", "run"), [("step_up_10", 0), campaign("ramp_up_20", 1), ("step_down_15", 1)]
+)
 def test_masters_the_course(course: str, run: int) -> None:
     assert drive(VmcController(), course, run).reason == "passed"
 

@@ -54,7 +54,8 @@ def open_ground(grid: ElevationGrid, goal: tuple[float, float]) -> OpenGround:
     ox, oy = x0 - WAY_CELL, y0 - WAY_CELL
     shape = (math.ceil((y1 - oy) / WAY_CELL) + 2, math.ceil((x1 - ox) / WAY_CELL) + 2)
     blocked = np.zeros(shape, np.bool_)
-    _block(grid.height, grid.trusted, grid.resolution, WAY_CELL, WAY_CELL, blocked)
+    holes = np.zeros_like(grid.trusted) if grid.holes is None else grid.holes
+    _block(grid.height, grid.trusted, holes, grid.resolution, WAY_CELL, WAY_CELL, blocked)
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * WAY_CELL
     straight = np.hypot(x + ox - goal[0], y + oy - goal[1])
     rim = np.ones(shape, np.bool_)
@@ -126,15 +127,16 @@ def _cells_of(
 
 
 @njit(cache=True)
-def _block(height, trusted, res, dx, dy, blocked):
-    """Mark raster cells within `KEEP_OFF` of a face; dx, dy: cell [0, 0] of the grid seen from the raster's [m]."""
+def _block(height, trusted, holes, res, dx, dy, blocked):
+    """Mark raster cells within `KEEP_OFF` of a face or of a hole that is too wide; dx, dy: cell [0, 0] of the grid seen
+    from the raster's [m]."""
     rows, cols = height.shape
     for r in range(rows):
         for c in range(cols):
-            if not trusted[r, c]:
-                continue
-            face = False
+            face = holes[r, c]
             for k in range(1, 3):
+                if not trusted[r, c]:
+                    break
                 if (
                     r + k < rows
                     and trusted[r + k, c]

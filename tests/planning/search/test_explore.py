@@ -121,6 +121,20 @@ def test_the_way_to_go_leads_around_what_is_known_to_stand_there() -> None:
     np.testing.assert_allclose(way_to_go(grid, np.array([[4.3, 1.5]]), (4.0, 1.5)), 0.3, atol=0.01)
 
 
+def test_the_way_to_go_leads_over_no_hole_that_is_too_wide_whether_its_floor_was_seen_or_not() -> None:
+    grid = flat(6, 4)
+    y, x = np.mgrid[0:81, 0:121] * 0.05
+    ring = np.hypot(x - 4.0, y - 1.5)
+    trench = (ring > 0.9) & (ring < 1.1)
+    grid.trusted[trench & (x > 4.0)] = False
+    points = np.array([[1.0, 1.5], [4.3, 1.5]])
+    np.testing.assert_allclose(way_to_go(grid, points, (4.0, 1.5)), [3.0, 0.3], atol=0.05)
+    holes = replace(grid, holes=trench)
+    np.testing.assert_allclose(way_to_go(holes, points, (4.0, 1.5)), [np.inf, 0.3], atol=0.01)
+    bridge = replace(grid, holes=trench & (y < 2.0))
+    assert 3.1 < way_to_go(bridge, points, (4.0, 1.5))[0] < 3.6
+
+
 def test_the_way_to_go_does_not_lead_back_over_ground_that_was_reached() -> None:
     # A frontier in a corner of a field is none on the way into a pit in its middle: the rim of the pit is.
     grid = flat(6, 4)

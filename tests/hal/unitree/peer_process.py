@@ -47,7 +47,7 @@ class PeerProcess:
                 self.reports.append(json.loads(line))
                 self._news.notify_all()
 
-    def until(self, condition: Callable[[], bool], seconds: float = 15.0) -> None:
+    def until(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
         """Wait for reports until `condition()`; fail in the end."""
         with self._news:
             assert self._news.wait_for(condition, seconds), "the robot did not do it"

@@ -29,7 +29,7 @@ from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
-from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until
+from tests.rbtrg_robot.console.pages import CHROMIUM, LIMIT, SOLID, chromium, on_screen, soon, until
 from tools.bench.console.stack import PACE_LENGTH, Console, Robot, grey, ground, report
 
 JOB = 90.0
@@ -42,6 +42,14 @@ def browser() -> Iterator[Browser]:
     """It must be there: `apt-get install chromium`."""
     with chromium() as found:
         yield found
+
+
+@pytest.fixture(scope="module")
+def solid(browser: Browser) -> Iterator[Browser]:
+    """One with WebGL."""
+    found = browser.browser_type.launch(executable_path=CHROMIUM, args=SOLID)
+    yield found
+    found.close()
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +68,39 @@ def console(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     made.close()
 
 
+@pytest.fixture(scope="module")
+def usual(browser: Browser) -> list[Page]:
+    """The page that most tests visit: a process of its own for each takes three times the processor."""
+    return []
+
+
 @pytest.fixture
-def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable[..., Page]]:
-    """A page of its own, once it shows the robot: from above, for without a graphics card 3D takes ten times the
-    processor."""
+def visit(
+    browser: Browser, console: Console, robot: Robot, usual: list[Page], request: pytest.FixtureRequest
+) -> Iterator[Callable[..., Page]]:
+    """A page as somebody sees it who opens it now, once it shows the robot: from above, for without a graphics card 3D
+    takes ten times the processor."""
     robot.reset()
     contexts: list[BrowserContext] = []
+    visited: list[Page] = []
 
     def enter(
         role: str = "operator", size: Any = DESK, *, wait: bool = True, flat: bool = True, **options: Any
     ) -> Page:
-        context = browser.new_context(viewport=size, reduced_motion="reduce", **options)
-        context.set_default_timeout(1000 * LIMIT)
-        contexts.append(context)
-        page = context.new_page()
+        plain = not visited and wait and flat and not options and (role, size) == ("operator", DESK)
+        if plain and usual and not usual[0].is_closed():
+            page = usual[0]
+            context = page.context
+        else:
+            chosen: Browser = browser if flat else request.getfixturevalue("solid")
+            context = chosen.new_context(viewport=size, reduced_motion="reduce", **options)
+            context.set_default_timeout(1000 * LIMIT)
+            page = context.new_page()
+            if plain:
+                usual[:] = [page]
+            else:
+                contexts.append(context)
+        visited.append(page)
         address = console.address(role)
         if flat:
             context.request.get(address)  # with its answer comes the cookie
@@ -89,6 +116,16 @@ def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable
     yield enter
     for context in contexts:
         context.close()
+    for page in usual:
+        if page in visited and not page.is_closed():
+            page.mouse.up()
+            page.mouse.move(0, 0)
+            page.keyboard.up("ArrowUp")
+            for other in page.context.pages:
+                if other is not page:
+                    other.close()
+            page.goto(console.address().partition("/enter")[0] + "/about")  # it leaves the robot alone
+            page.context.clear_cookies()
 
 
 # --- goals --------------------------------------------------------------------------------------------------

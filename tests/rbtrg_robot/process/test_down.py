@@ -57,7 +57,7 @@ def test_one_that_is_stopped_goes_on_and_ends_in_order(up: Up, capsys: pytest.Ca
     stack.down("go2w")
     told = capsys.readouterr()
     assert (told.out, told.err) == ("down\n", "")
-    assert not psutil.wait_procs([child], timeout=5.0)[1]
+    assert not psutil.wait_procs([child], timeout=30.0)[1]
     assert not _is_up("go2w")
 
 

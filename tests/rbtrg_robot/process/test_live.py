@@ -196,7 +196,7 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
     assert segments
     down = stack.run("down")
     assert down.returncode == 0
-    _gone, alive = psutil.wait_procs(children, timeout=3.0)
+    _gone, alive = psutil.wait_procs(children, timeout=30.0)
     assert not alive
     assert not [path for path in segments if path.exists()]
     log = stack.log() / "log_0.mcap"
@@ -271,13 +271,13 @@ def test_when_up_is_killed_nothing_survives_it_and_the_log_does(stack: Stack) ->
     recorder = stack.processes()["recorder"]["pid"]
     with stack.bus() as bus:
         watch = Observer(bus)
-        watch.until(lambda: watch.stamp > 3_000_000_000, 20.0)
+        watch.until(lambda: watch.stamp > 3_000_000_000, 60.0)
         os.kill(recorder, signal.SIGKILL)
         kills = [watch.stamp]
         watch.until(lambda: watch.stamp > kills[0] + 5_000_000_000, 60.0)
         supervisor.kill()
         kills.append(watch.stamp)
-    _gone, alive = psutil.wait_procs(children, timeout=5.0)
+    _gone, alive = psutil.wait_procs(children, timeout=30.0)
     assert not alive
     logs = sorted(stack.log().glob("log_*.mcap"))
     assert len(logs) == 2

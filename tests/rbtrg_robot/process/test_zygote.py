@@ -256,5 +256,5 @@ sys.stdin.read()
         processes = [psutil.Process(int(pid)) for pid in alive]
         assert len(processes) == 2
         caller.kill()
-    _gone, left = psutil.wait_procs(processes, timeout=5.0)
+    _gone, left = psutil.wait_procs(processes, timeout=30.0)
     assert not left

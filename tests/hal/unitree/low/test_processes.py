@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
 
 import psutil
 import pytest
 
-from hal.unitree.low.watch import LONGEST_SILENCE, silence
+from hal.unitree.low.watch import silence
 
 pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from hal.lidar.config import only
@@ -38,8 +37,7 @@ def pipe() -> Iterator[tuple[int, int]]:
 
 
 def test_the_watch_ends_with_the_word_of_the_loop(pipe: tuple[int, int]) -> None:
-    os.write(pipe[1], b"tt")
-    threading.Timer(0.5 * LONGEST_SILENCE, os.write, [pipe[1], b"e"]).start()
+    os.write(pipe[1], b"tte")
     assert silence(pipe[0]) == ""
 
 
@@ -97,10 +95,10 @@ def test_the_processes_stand_the_robot_up_and_the_motors_go_soft_when_the_loop_i
     host.until(Phase.STANDING)
     host.peer.until(lambda: host.peer.last["stiff"])
     loop.send_signal(signal.SIGKILL)
-    host.peer.until(lambda: not host.peer.last["stiff"], 5.0)
+    host.peer.until(lambda: not host.peer.last["stiff"])
     host.until(Phase.FAULT)
     assert "motor loop" in host.backend.state().cause
-    watch.wait(15.0)  # it ends by itself, once the robot lies
+    watch.wait(60.0)  # it ends by itself, once the robot lies
 
 
 def test_no_process_is_left_when_the_host_is_killed() -> None:
@@ -114,10 +112,10 @@ def test_no_process_is_left_when_the_host_is_killed() -> None:
         stdin = host.backend._motors._process.stdin
         assert stdin is not None
         stdin.close()
-        gone, alive = psutil.wait_procs(processes, 15.0)
+        gone, alive = psutil.wait_procs(processes, 60.0)
         assert not alive
         assert len(gone) == 2
-        host.peer.until(lambda: not host.peer.last["stiff"], 5.0)
+        host.peer.until(lambda: not host.peer.last["stiff"])
     finally:
         host.backend.close()
         host.peer.end()

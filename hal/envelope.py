@@ -331,6 +331,13 @@ class Counted(BaseModel):
         return -np.expm1(-(model.bound(parts) if bound else model.mean(parts)))
 
 
+Share = Callable[[Table], float]
+
+
+def _all(_: Table) -> float:
+    return 1.0
+
+
 class Envelope(Counted):
     """Everything that was measured of one controller: in our model of the robot, and in those of others.
 
@@ -341,17 +348,13 @@ class Envelope(Counted):
     elsewhere: dict[str, Counted] = {}
     """By the name of another model."""
 
-    def tables(self, name: str) -> list[Table]:
-        """Of one manoeuvre, in every model it was tried in."""
-        return [counted.manoeuvres[name] for counted in self._models(name)]
+    def mean(self, name: str, *values: ArrayLike, share: Share = _all) -> Array:
+        """As of `Counted`, in the worst model. `share`: of the failures in a table that count."""
+        return self._worst(Counted.mean, name, values, share)
 
-    def mean(self, name: str, *values: ArrayLike) -> Array:
-        """As of `Counted`, in the worst model."""
-        return self._worst(Counted.mean, name, values)
-
-    def bound(self, name: str, *values: ArrayLike) -> Array:
-        """As of `Counted`, in the worst model."""
-        return self._worst(Counted.bound, name, values)
+    def bound(self, name: str, *values: ArrayLike, share: Share = _all) -> Array:
+        """As `mean`."""
+        return self._worst(Counted.bound, name, values, share)
 
     def hazard(self, name: str, *values: ArrayLike) -> Array:
         """-ln(1 - p) of one unit; infinite where it is no way: `bound` above `MAX_RISK`.
@@ -361,11 +364,13 @@ class Envelope(Counted):
         h = -np.log1p(-np.minimum(self.mean(name, *values), 1.0 - 1e-9))
         return np.where(self.bound(name, *values) > MAX_RISK, np.inf, h)
 
-    def _models(self, name: str) -> list[Counted]:
-        return [counted for counted in (self, *self.elsewhere.values()) if name in counted.manoeuvres]
-
-    def _worst(self, of: Callable[..., Array], name: str, values: tuple[ArrayLike, ...]) -> Array:
-        worst: Array = np.max([of(counted, name, *values) for counted in self._models(name)], axis=0)
+    def _worst(
+        self, of: Callable[..., Array], name: str, values: tuple[ArrayLike, ...], share: Share
+    ) -> Array:
+        models = [counted for counted in (self, *self.elsewhere.values()) if name in counted.manoeuvres]
+        worst: Array = np.max(
+            [share(counted.manoeuvres[name]) * of(counted, name, *values) for counted in models], axis=0
+        )
         return worst
 
     def write(self, path: Path) -> None:

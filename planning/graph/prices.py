@@ -8,7 +8,7 @@ costs nothing.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -111,7 +111,6 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
     if controller is None or fall_cost == 0.0:
         return free(axle, tread, radius)
     envelope = stored(controller)
-    share = {name: ending(name, *envelope.tables(name)) for name in envelope.manoeuvres}
     size = np.arange(SIZE_COUNT) * SIZE_STEP
     angle = np.arange(ANGLE_COUNT) * ANGLE_STEP
     steep = np.minimum(angle, math.radians(60.0))
@@ -120,7 +119,7 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
     def price(name: str, sigma: float, *values: ArrayLike) -> Array:
         if name not in envelope.manoeuvres:
             return np.zeros(np.broadcast_shapes(*(np.shape(v) for v in values)))
-        return fall_cost * hazards(envelope, name, sigma, *values, share=share[name])
+        return fall_cost * hazards(envelope, name, sigma, *values)
 
     across = np.minimum(angle, np.pi - angle)
     barred = np.zeros((SIZE_COUNT, TREAD_COUNT, 1), np.bool_)
@@ -131,7 +130,7 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
         riser, depth, askew = np.ix_(size, LEAST_TREAD + TREAD_STEP * np.arange(TREAD_COUNT), across)
         out.stairs[way] = 0.25 * price(stairs, MAP_SIGMA, riser, depth, askew)
         if stairs in envelope.manoeuvres:
-            ends = share[stairs] * envelope.bound(stairs, riser, depth, 0.0)
+            ends = envelope.bound(stairs, riser, depth, 0.0, share=partial(ending, stairs))
             barred |= 1.0 - (1.0 - ends) ** FLIGHT_RISERS > MAX_RISK
     out.stairs[:, barred[..., 0]] = np.inf
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)
@@ -144,34 +143,28 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
     return out
 
 
-def hazards(
-    envelope: Envelope, name: str, sigma: ArrayLike, height: ArrayLike, *rest: ArrayLike, share: float = 1.0
-) -> Array:
+def hazards(envelope: Envelope, name: str, sigma: ArrayLike, height: ArrayLike, *rest: ArrayLike) -> Array:
     """-ln(1 - p) of units of a manoeuvre, as far as the fit reaches. SI units, broadcast.
 
-    p is the mean over height - sqrt(3) sigma, height and height + sqrt(3) sigma with weights 1/6, 2/3, 1/6 (Gauss and
-    Hermite with three points, exact for the first five moments of the height), times `share`. What is no way is the
-    business of `Envelope.hazard`.
+    p that it ends the drive is the mean over height - sqrt(3) sigma, height and height + sqrt(3) sigma with weights
+    1/6, 2/3, 1/6 (Gauss and Hermite with three points, exact for the first five moments of the height). What is no way
+    is the business of `Envelope.hazard`.
     """
     height, aside = np.asarray(height, np.float64), POINT_SPREAD * np.asarray(sigma, np.float64)
-    p = MIDDLE_WEIGHT * envelope.mean(name, height, *rest) + OUTER_WEIGHT * (
-        envelope.mean(name, np.maximum(height - aside, 0.0), *rest)
-        + envelope.mean(name, height + aside, *rest)
+    low, middle, high = (
+        envelope.mean(name, at, *rest, share=partial(ending, name))
+        for at in (np.maximum(height - aside, 0.0), height, height + aside)
     )
-    return np.asarray(-np.log1p(-share * np.minimum(p, 1.0 - 1e-9)))
+    p = MIDDLE_WEIGHT * middle + OUTER_WEIGHT * (low + high)
+    return np.asarray(-np.log1p(-np.minimum(p, 1.0 - 1e-9)))
 
 
-def ending(name: str, *tables: Table) -> float:
-    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys); the largest
-    of several models' tables."""
+def ending(name: str, table: Table) -> float:
+    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys)."""
     slides = 0.0 if name.startswith("stairs") else SLIDES_END
-
-    def share(table: Table) -> float:
-        first = len(table.axes) + 1
-        each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
-        return (sum(each[kind] for kind in ENDING) + slides * each["slid"] + 0.5) / (sum(each.values()) + 1.0)
-
-    return max(share(table) for table in tables)
+    first = len(table.axes) + 1
+    each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
+    return (sum(each[kind] for kind in ENDING) + slides * each["slid"] + 0.5) / (sum(each.values()) + 1.0)
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.envelope import FALL_COST, Axis, Envelope, Table, stored
+from hal.envelope import FALL_COST, Axis, Counted, Envelope, Table, stored
 from planning.graph.params import GraphParams
 from planning.graph.prices import ANGLE_COUNT, SIZE_COUNT, angle_at, ending, free, hazards, prices_of, size_at
 
@@ -76,14 +76,21 @@ def test_flat_ground_is_no_hazard_however_it_is_met(envelope) -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.floats(0.0, 0.25), st.floats(0.0, 0.06), st.floats(0.0, 1.2), st.floats(0.0, 0.2), st.floats(0.1, 1.0)
-)
-def test_a_hazard_is_the_mean_of_three_heights(envelope, height, sigma, angle, slope, share) -> None:
+@given(st.floats(0.0, 0.25), st.floats(0.0, 0.06), st.floats(0.0, 1.2), st.floats(0.0, 0.2))
+def test_a_hazard_is_the_mean_of_three_heights_in_the_worst_model(
+    envelope, height, sigma, angle, slope
+) -> None:
     points = np.maximum(height + np.sqrt(3.0) * sigma * np.array([-1.0, 0.0, 1.0]), 0.0)
-    p = share * (np.array([1, 4, 1]) / 6 @ [float(envelope.mean("up", h, angle, slope)) for h in points])
-    assert float(hazards(envelope, "up", sigma, height, angle, slope, share=share)) == pytest.approx(
-        -np.log1p(-min(p, share * (1 - 1e-9))), rel=1e-9, abs=1e-12
+    ends = [
+        max(
+            ending("up", model.manoeuvres["up"]) * float(Counted.mean(model, "up", h, angle, slope))
+            for model in (envelope, *envelope.elsewhere.values())
+        )
+        for h in points
+    ]
+    p = np.array([1, 4, 1]) / 6 @ ends
+    assert float(hazards(envelope, "up", sigma, height, angle, slope)) == pytest.approx(
+        -np.log1p(-min(p, 1 - 1e-9)), rel=1e-9, abs=1e-12
     )
 
 
@@ -92,8 +99,7 @@ def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: s
     envelope, prices = stored(controller), prices_of(GraphParams(controller=controller))
 
     def hazard(name: str, *values: float) -> float:
-        share = ending(name, *envelope.tables(name))
-        return 100.0 * float(hazards(envelope, name, 0.01, *values, share=share))
+        return 100.0 * float(hazards(envelope, name, 0.01, *values))
 
     i, j = size_at(0.152), angle_at(np.radians(-31.0))
     assert prices.face[0, 0, i, j] == pytest.approx(0.25 * hazard("up", 0.15, np.radians(30), 0.0))

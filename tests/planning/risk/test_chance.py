@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
 
-from hal.envelope import Envelope, stored
+from hal.envelope import Counted, Envelope, Table, stored
 from mapping.grid import ElevationGrid
 from planning.graph import GraphParams, TraversalGraph
 from planning.graph.prices import ENDING, MAP_SIGMA, SLIDES_END, ending, hazards
@@ -58,11 +59,8 @@ def test_a_kerb_is_one_crossing_at_its_angle(
     envelope: Envelope, height: float, name: str, degrees: int
 ) -> None:
     found = drive(ground(kerb(height, math.radians(degrees))))
-    share = ending(name, *envelope.tables(name))
     low, high = (
-        float(
-            hazards(envelope, name, MAP_SIGMA, 0.16 + d, math.radians(max(0, degrees + a)), 0.0, share=share)
-        )
+        float(hazards(envelope, name, MAP_SIGMA, 0.16 + d, math.radians(max(0, degrees + a)), 0.0))
         for d, a in ((-0.017, -11), (0.017, 11))
     )
     assert low <= hazard(found) <= high
@@ -91,8 +89,7 @@ def test_even_ground_and_gentle_ramps_fail_hardly_ever() -> None:
 def test_stairs_are_risers_not_a_slope_or_kerbs(envelope: Envelope) -> None:
     grid = ground(lambda x, y: 0.15 * np.clip(np.floor((x - 2.0) / 0.32) + 1.0, 0.0, 4.0), noise=0.0)
     found = drive(grid)
-    share = ending("stairs_up", *envelope.tables("stairs_up"))
-    each = float(hazards(envelope, "stairs_up", MAP_SIGMA, 0.15, 0.32, 0.0, share=share))
+    each = float(hazards(envelope, "stairs_up", MAP_SIGMA, 0.15, 0.32, 0.0))
     assert hazard(found) == pytest.approx(4.0 * each, rel=0.3)
     assert found.worst.startswith("up stairs of 0.15 m at x ")
 
@@ -102,8 +99,7 @@ def test_a_turn_on_the_spot_counts_what_lies_under_its_wheels(envelope: Envelope
     far = np.array([(1.0, 2.0), (1.6, 2.0), (1.6, 3.5)])
     astride, away = (drive(ground(kerb(0.10)), xy) for xy in (corner, far))
     assert astride.worst == "a turn of 90 deg over a 0.10 m face at x 2.5 y 2.0"
-    share = ending("spin", *envelope.tables("spin"))
-    radian = float(hazards(envelope, "spin", MAP_SIGMA, 0.10, 0.0, 1.0, share=share))
+    radian = float(hazards(envelope, "spin", MAP_SIGMA, 0.10, 0.0, 1.0))
     assert hazard(astride) == pytest.approx(0.5 * math.pi * radian, rel=0.25)
     assert away.p_fail < 1e-3
     slope = drive(ground(lambda x, y: math.tan(math.radians(24.0)) * y), far)
@@ -157,9 +153,16 @@ def test_a_slide_ends_a_drive_seldom_and_on_stairs_never(envelope: Envelope) -> 
     row = {
         name: (0.2, 0.0, 0.0, 9.0, *kinds, 0.0) for name, kinds in (("stuck", (0, 3, 0)), ("slid", (0, 0, 4)))
     }
-    stuck, slid = (table.model_copy(update={"cells": (row[name],)}) for name in ("stuck", "slid"))
+    stuck, slid = (Table(per=table.per, axes=table.axes, cells=(row[name],)) for name in ("stuck", "slid"))
     assert ENDING == ("fell", "stuck", "touched")
     assert ending("up", stuck) == ending("stairs_up", stuck) == pytest.approx(3.5 / 4.0)
     assert ending("up", slid) == pytest.approx((4.0 * SLIDES_END + 0.5) / 5.0)
     assert ending("stairs_up", slid) == pytest.approx(0.5 / 5.0)
-    assert ending("up", slid, stuck) == ending("up", stuck), "the worse model counts"
+    here = Counted(physics="a", date="2026-01-01", commit="", manoeuvres={"up": stuck})
+    there = here.model_copy(update={"manoeuvres": {"up": slid}})
+    both = Envelope(robot="", controller="", elsewhere={"there": there}, **dict(here))
+    share = partial(ending, "up")
+    at = 0.2, 0.0, 0.0
+    each = [share(m.manoeuvres["up"]) * float(m.mean("up", *at)) for m in (here, there)]
+    assert float(both.mean("up", *at, share=share)) == pytest.approx(max(each)), "the worse model counts"
+    assert max(each) < max(share(stuck), share(slid)) * float(both.mean("up", *at)), "no mix of both"

@@ -31,6 +31,7 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
+from tests.places import cases
 
 
 def floor(slope: float = 0.0) -> Scene:
@@ -322,7 +323,7 @@ def test_a_fall_is_a_fault_that_says_what_to_do() -> None:
     assert np.abs(r.backend.simulation.low_state().dq[12:]).max() < 0.5, "a fallen robot does not drive"
 
 
-@pytest.mark.parametrize("roll", [90.0, -90.0, 180.0])
+@pytest.mark.parametrize("roll", [90.0, pytest.param(-90.0, marks=pytest.mark.campaign), 180.0])
 def test_recover_turns_a_fallen_robot_over_and_stands_it_up(roll: float) -> None:
     r = Robot()
     r.run(0.8)
@@ -340,7 +341,7 @@ def test_recover_turns_a_fallen_robot_over_and_stands_it_up(roll: float) -> None
     assert np.linalg.norm(r.backend.simulation.position[:2] - place) > 0.4
 
 
-@pytest.mark.parametrize("seed", [6, 10, 16])
+@pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in (10, 16))])
 def test_recover_gets_up_from_random_attitudes_on_a_slope_of_15_degrees(seed: int) -> None:
     n = 601
     height = np.tile(np.tan(np.radians(15.0)) * (np.arange(n) - 300) * 0.05, (n, 1)).astype(np.float32)
@@ -482,7 +483,7 @@ def test_options_come_from_plain_values_and_name_what_is_wrong() -> None:
             SimConfig.model_validate(values)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", cases(4, 2))
 def test_any_sequence_of_requests_leaves_a_defined_state_with_a_reason(seed: int) -> None:
     """Requests, commands and shoves at random times: no exception, no NaN, always a phase and its cause."""
     rng = np.random.default_rng(seed)

@@ -453,7 +453,7 @@ class Approach:
         return out
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.6])
+@pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.campaign), 0.6])
 @pytest.mark.parametrize("name", THINGS)
 def test_no_cell_of_a_thing_that_the_robot_must_not_touch_is_taken_for_plants(name: str, turn: float) -> None:
     assert Approach(THINGS[name], turn).marked().plants is None

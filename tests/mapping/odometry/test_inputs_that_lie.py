@@ -128,7 +128,7 @@ def test_an_accelerometer_that_leads_from_the_wheels_does_not_carry_a_pose_that_
         assert max(error(run, out.scans, 10, k)[0] for k in range(len(out.scans))) > 1.5
 
 
-@pytest.mark.parametrize("unit", [0.65, 1.45])
+@pytest.mark.parametrize("unit", [0.65, pytest.param(1.45, marks=pytest.mark.campaign)])
 def test_distances_in_another_unit_are_told(recorded: tuple[SyntheticRun, list[Sample]], unit: float) -> None:
     """The LiDAR's sweeps fit its own map, which is smaller or larger than the world."""
     motion = Motion(kind="straight", speed=0.5, start=(-2.5, 0.0, 0.0), pitch=0.0, roll=0.0, bob=0.0)

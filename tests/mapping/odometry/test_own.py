@@ -169,7 +169,11 @@ RNG = np.random.default_rng(5)
 @pytest.mark.parametrize(
     "way",
     [
-        *[Way(walls(y), weave=w) for y in (0.35, 0.45, 0.6, 0.75) for w in (0.0, 0.1)],
+        *[Way(walls(y), weave=w) for y, w in ((0.35, 0.0), (0.35, 0.1), (0.75, 0.1))],
+        *[
+            pytest.param(Way(walls(y), weave=w), marks=pytest.mark.campaign)
+            for y, w in ((0.45, 0.0), (0.45, 0.1), (0.6, 0.0), (0.6, 0.1), (0.75, 0.0))
+        ],
         Way(walls(0.4, 0.35), turn=3.0),
         Way(walls(0.4, 0.5)),
         Way((FLAT + 0.3 * (RNG.uniform(size=FLAT.shape) > 0.9)).astype(np.float32)),

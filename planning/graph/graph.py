@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.cells import Cells
 from planning.graph.describe import ALL_HEADINGS
-from planning.graph.file import read_graph, write_graph
 from planning.graph.lattice import Lattice
 from planning.graph.native import build_native
 from planning.graph.params import Changed, GraphParams, Window, changed_windows, checked_start
@@ -338,29 +336,6 @@ class TraversalGraph:
         elif not self._refresh(grid, windows) and moved and self.nearest_node(start) is None:
             self._refresh(grid, (), force=True)
         return not (np.array_equal(before[0], self.node_ids) and np.array_equal(before[1], self.indices))
-
-    # -- files --------------------------------------------------------------------------------------------------
-
-    def save(self, path: str | Path) -> None:
-        """Write the graph as npz. The suffix is not changed."""
-        header = {
-            "params": self.params.model_dump(),
-            "seed": self.seed,
-            "start": self.start_xy,
-            "first": self.first_xy,
-            "version": self.version,
-        }
-        write_graph(path, header, self.__dict__)
-
-    @classmethod
-    def load(cls, path: str | Path) -> TraversalGraph:
-        """Read what `save` wrote. The first `update` of a loaded graph rebuilds all of it. Raises PlanningError."""
-        header, params, arrays = read_graph(path)
-        graph = cls(params, header["seed"], header["start"], header["first"])
-        graph.__dict__.update(arrays)
-        graph.version = int(header["version"])
-        graph._next_id = int(graph.node_ids.max(initial=-1)) + 1
-        return graph
 
 
 def _clear(a: NDArray[np.float64], b: NDArray[np.float64], disc: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -25,7 +25,6 @@ from hal.robots.go2w.locomotion.weights import load_weights
 from hal.scenes import load_scene
 from mapping.elevation.files import load_into, read_cloud
 from mapping.elevation.tiles import TileStore
-from planning.graph.file import read_graph
 
 
 def archive(members: dict[str, bytes], *, packed: bool = True) -> bytes:
@@ -98,7 +97,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "scene": lambda path: load_scene(str(path)),
     "map": map_into,
     "policy": policy,
-    "graph": read_graph,
 }
 
 

@@ -17,7 +17,6 @@ from hal.robots.go2w.locomotion.weights import load_weights
 from hal.scenes import load_scene
 from hal.scenes.files import read_scene
 from mapping.elevation import ElevationMap
-from planning.graph.file import read_graph
 from rbtrg_robot import config
 from rbtrg_robot.log.film import film
 from rbtrg_robot.log.stats import summarize
@@ -56,7 +55,6 @@ READERS: list[tuple[str, Callable[[Path], Any]]] = [
     ("scene.obj", read_scene),
     ("policy.npz", load_weights),
     ("policy.pt", read_mlp),
-    ("graph.npz", read_graph),
 ]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -34,57 +32,6 @@ def test_nearest_node_keeps_the_snap_distance() -> None:
     with pytest.raises(NoRoute) as caught:
         graph.nearest_node((np.nan, 0.0))
     assert caught.value.reason == "bad_input"
-
-
-def test_save_and_load_give_the_same_graph(tmp_path) -> None:
-    graph = TraversalGraph.from_edges(NODES, EDGES, RISK, frontier=np.array([False, True, False, False]))
-    graph.save(tmp_path / "g.npz")
-    again = TraversalGraph.load(tmp_path / "g.npz")
-    for name in ("nodes", "indptr", "indices", "risk", "frontier", "turn_price", "node_ids", "edge_revision"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(graph, name))
-        assert getattr(again, name).dtype == getattr(graph, name).dtype
-    assert again.params == graph.params
-    assert again.version == graph.version
-
-
-def test_load_refuses_other_files(tmp_path) -> None:
-    np.savez(tmp_path / "x.npz", a=1)
-    with pytest.raises(PlanningError, match="not a traversal graph"):
-        TraversalGraph.load(tmp_path / "x.npz")
-    for junk in (b"", b"PK\x03\x04 cut off", b"not a zip at all"):
-        (tmp_path / "j.npz").write_bytes(junk)
-        with pytest.raises(PlanningError, match="not a traversal graph"):
-            TraversalGraph.load(tmp_path / "j.npz")
-    with pytest.raises(PlanningError, match=r"missing\.npz"):
-        TraversalGraph.load(tmp_path / "missing.npz")
-
-
-def test_load_refuses_a_file_of_another_version_or_with_arrays_that_do_not_fit(tmp_path) -> None:
-    graph = TraversalGraph.from_edges(NODES, EDGES, RISK)
-    graph.save(tmp_path / "g.npz")
-    with np.load(tmp_path / "g.npz") as data:
-        arrays = dict(data)
-
-    def write(**changed: object) -> None:
-        np.savez(tmp_path / "h.npz", **(arrays | changed))  # type: ignore[arg-type]
-
-    header = json.loads(str(arrays["header"]))
-    write(header=np.array(json.dumps(header | {"format": 99})))
-    with pytest.raises(PlanningError, match="format 99, this program reads 4"):
-        TraversalGraph.load(tmp_path / "h.npz")
-    write(header=np.array(json.dumps(header | {"params": {"mode": "best"}})))
-    with pytest.raises(PlanningError, match="mode"):
-        TraversalGraph.load(tmp_path / "h.npz")
-    for changed in (
-        {"indices": np.array([1, 0, 9, 1], np.int32)},
-        {"indptr": arrays["indptr"][:-1]},
-        {"risk": arrays["risk"][:2]},
-        {"nodes": arrays["nodes"][:, :2]},
-        {"node_ids": arrays["node_ids"].astype(float)},
-    ):
-        write(**changed)
-        with pytest.raises(PlanningError, match="do not fit"):
-            TraversalGraph.load(tmp_path / "h.npz")
 
 
 def test_edges_in_a_place_to_avoid_are_left_out_and_the_rest_stays_as_it_is() -> None:

@@ -242,16 +242,6 @@ def test_a_native_graph_follows_too_and_keeps_ids() -> None:
     assert len(np.unique(graph.node_ids)) == len(graph.nodes)
 
 
-def test_a_loaded_graph_can_be_updated(tmp_path) -> None:
-    scene = random_scene(7, size=6.0)
-    TraversalGraph.build(scene.grid, scene.start, PARAMS, 2).save(tmp_path / "g.npz")
-    graph = TraversalGraph.load(tmp_path / "g.npz")
-    z = scene.grid.height.copy()
-    z[20:30, 20:30] += 0.5
-    assert graph.update(_with(scene.grid, z), [(20, 20, 30, 30)])
-    _assert_same(graph, TraversalGraph.build(_with(scene.grid, z), scene.start, PARAMS, 2))
-
-
 def test_bad_updates_are_typed_errors() -> None:
     scene = random_scene(0, size=6.0)
     graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,7 +73,7 @@ def routes(scene: str, query: int, methods: list[str], controllers: list[str]) -
 
 
 def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
-    """The paper's variants on one native graph, which went through a file, between the nodes nearest to start and goal.
+    """The paper's variants on one native graph, between the nodes nearest to start and goal.
 
     Baselines plan between the same two places.
     """
@@ -83,8 +81,7 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
     try:
-        built = TraversalGraph.build(grid, scene.start[:2], GraphParams(mode="native"), query)
-        graph = through_file(built)
+        graph = TraversalGraph.build(grid, scene.start[:2], GraphParams(mode="native"), query)
         table = RiskTable(graph, grid, body)
         ends = snapped(graph, grid, start, goal)
     except NoRoute as none:
@@ -161,14 +158,6 @@ def _route(
             for t in found.transitions
         ],
     )
-
-
-def through_file(graph: TraversalGraph) -> TraversalGraph:
-    """The graph as a file gives it back."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "graph.npz"
-        graph.save(file)
-        return TraversalGraph.load(file)
 
 
 def crosses_wall(scene: Scene, line: Array) -> bool:

@@ -17,7 +17,7 @@ from planning.risk.body import BodyModel, unseen_price, weights_of
 from planning.risk.cost import Weights
 from planning.risk.table import RiskTable
 from planning.search.attach import NEAREST_NODES, Spot
-from planning.search.endpoints import Endpoints, Place, endpoints, places_ahead, position
+from planning.search.endpoints import Endpoints, endpoints, places_ahead, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import frontiers, with_hysteresis, worth_keeping
 from planning.search.guarded import without
@@ -39,7 +39,6 @@ __all__ = [
     "Transition",
     "Variant",
     "plan",
-    "plan_many",
 ]
 
 NEARER_GOAL = 0.5
@@ -134,36 +133,6 @@ def _bare(plan: Plan, w: Weights) -> float:
     """[m] all the way to the goal, without the body's risk and turns."""
     crossed = sum(t.price + w.unknown * t.length * t.unknown for t in plan.transitions)
     return plan.native_cost + crossed + plan.to_go
-
-
-def plan_many(
-    graph: TraversalGraph,
-    grid: ElevationGrid,
-    start: Place,
-    goals: Sequence[Place],
-    body: BodyModel | None = None,
-    *,
-    start_yaw: float | None = None,
-    goal_yaws: Sequence[float | None] | None = None,
-    variant: Variant = "full",
-    table: RiskTable | None = None,
-) -> list[Plan | NoRoute]:
-    """One plan per goal, or the reason why there is none; all goals share their evaluations.
-
-    The cheapest goal: `min((p for p in plans if isinstance(p, Plan)), key=lambda p: p.cost)`.
-    """
-    body = body or BodyModel()
-    table = _table(graph, grid, body, table)
-    yaws = [None] * len(goals) if goal_yaws is None else list(goal_yaws)
-    if len(yaws) != len(goals):
-        raise PlanningError(f"goal_yaws must have one entry per goal: {len(goals)}, got {len(yaws)}")
-    out: list[Plan | NoRoute] = []
-    for goal, yaw in zip(goals, yaws, strict=True):
-        try:
-            out.append(plan(graph, grid, PlanRequest(start, goal, start_yaw, yaw, variant), body, table))
-        except NoRoute as none:
-            out.append(none)
-    return out
 
 
 def _table(graph: TraversalGraph, grid: ElevationGrid, body: BodyModel, table: RiskTable | None) -> RiskTable:

@@ -13,7 +13,7 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from planning.search.plan import DriveRules, Plan, PlanRequest, plan, plan_many
+from planning.search.plan import DriveRules, PlanRequest, plan
 from tests.places import needs_shared
 from tests.planning.worlds import flat, golden_world, lattice, rough
 from tools.bench.planning import reference
@@ -186,18 +186,17 @@ def test_start_equal_to_goal_is_one_node_at_no_cost(world):
 def test_a_shared_table_changes_no_result_and_evaluates_nothing_twice(world):
     grid, graph = world
     table = RiskTable(graph, grid, BODY)
-    goals = [*range(0, len(graph.nodes), 3), 999]
-    shared = plan_many(graph, grid, 0, goals, BODY, table=table)
+    goals = range(0, len(graph.nodes), 3)
+    shared = [plan(graph, grid, PlanRequest(0, goal), BODY, table) for goal in goals]
     before = table.evaluated()
-    again = plan_many(graph, grid, 0, goals, BODY, table=table)
+    again = [plan(graph, grid, PlanRequest(0, goal), BODY, table) for goal in goals]
     assert table.evaluated() == before
-    for goal, one, two in zip(goals[:-1], shared, again, strict=False):
+    for goal, one, two in zip(goals, shared, again, strict=True):
         alone = plan(graph, grid, PlanRequest(0, goal), BODY)
-        assert isinstance(one, Plan)
-        assert isinstance(two, Plan)
         assert (alone.nodes, alone.cost) == (one.nodes, one.cost) == (two.nodes, two.cost)
-    assert isinstance(shared[-1], NoRoute)
-    assert shared[-1].reason is NoRouteReason.BAD_INPUT
+    with pytest.raises(NoRoute) as caught:
+        plan(graph, grid, PlanRequest(0, 999), BODY, table)
+    assert caught.value.reason is NoRouteReason.BAD_INPUT
 
 
 def test_a_goal_beyond_known_ground_ends_at_the_most_promising_frontier():

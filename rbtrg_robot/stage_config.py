@@ -167,7 +167,7 @@ class PlannerConfig(BaseModel):
         description="rb_trg: the project's planner; an installed planner (entry point of rbtrg.planners) or "
         "package.module:function (docs/extend.md)",
     )
-    variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
+    variant: Literal["native", "edge-only", "mean-only", "full"] = Field(
         "full", description="rb_trg: cost variant of the search"
     )
     backward: float = Field(

@@ -6,17 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.risk.terrain import Sampler, Terrain
-
-
-@njit(cache=True)
-def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
-    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n,
-    3)."""
-    return _steps(
-        sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v, sampler.ox, sampler.oy, sampler.inv,
-        poses,
-    )  # fmt: skip
+from planning.risk.terrain import Terrain
 
 
 @njit(cache=True)

@@ -22,7 +22,6 @@ from planning.search.explain import Route, describe
 from planning.search.frontier import frontiers, with_hysteresis, worth_keeping
 from planning.search.guarded import without
 from planning.search.keep import kept
-from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
 from planning.search.straight import all_turns, free_at, straighten
@@ -241,8 +240,6 @@ def _search(
     found.evaluate(at.table.sampler, weights_of(at.table.body), 0, len(found.risk))
     if request.rules.straight and at.ground is not None:
         straighten(at.ground, at.table, found)
-    if request.variant == "refined":
-        found = refine(at.table, found)
     return replace(describe(at.table.graph.nodes, request, body, found, search.expanded), exact=at.exact)
 
 

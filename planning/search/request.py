@@ -14,10 +14,9 @@ from planning.risk.chance import Chance
 Place = tuple[float, float] | int
 """x, y in metres, or the index of a node."""
 
-Variant = Literal["native", "edge-only", "mean-only", "full", "refined"]
-VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full", "refined")
-"""native: the graph's own cost; edge-only: no turns; mean-only: no tails; full: the paper's method; refined: full, then
-`planning.search.plan.refine`."""
+Variant = Literal["native", "edge-only", "mean-only", "full"]
+VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full")
+"""native: the graph's own cost; edge-only: no turns; mean-only: no tails; full: the paper's method."""
 SETS = ("edge", "sweep", "terminal sweep")
 
 
@@ -118,7 +117,7 @@ class Plan:
     """Planar length of the route [m]."""
     transitions: tuple[Transition, ...]
     points: NDArray[np.float64] = field(repr=False)
-    """(n, 3) x, y, z [m], `map`: the nodes, inner ones moved where the route was straightened or refined."""
+    """(n, 3) x, y, z [m], `map`: the nodes, inner ones moved where the route was straightened."""
     request: PlanRequest
     reaches_goal: bool = True
     """False when the plan ends at a frontier, from where the robot has to look again."""

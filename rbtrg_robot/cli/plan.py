@@ -41,7 +41,7 @@ def plan(
         ),
     ] = None,
     yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
-    variant: Annotated[str | None, typer.Option(help="native, edge-only, mean-only, full, refined.")] = None,
+    variant: Annotated[str | None, typer.Option(help="native, edge-only, mean-only, full.")] = None,
     method: Annotated[
         str | None, typer.Option(help="rb_trg, an installed planner, or module:function.")
     ] = None,

@@ -80,7 +80,7 @@ def test_on_random_ground_no_turn_of_a_route_sweeps_a_wall_a_ledge_or_a_pit() ->
     for seed in range(3):
         scene = random_scene(seed)
         graph = TraversalGraph.build(scene.grid, scene.start, GraphParams(), seed)
-        for body, variant, pairs in ((BODY, "refined", 4), (careless, "full", 20)):
+        for body, variant, pairs in ((BODY, "full", 4), (careless, "full", 20)):
             turns, bad = bad_turns(scene, graph, RiskTable(graph, scene.grid, body), variant, pairs)  # type: ignore[arg-type]
             assert turns > 3 * pairs
             assert bad == 0

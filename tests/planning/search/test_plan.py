@@ -330,22 +330,3 @@ def test_routes_and_costs_equal_the_reference():
 def _risk(graph, j, k):
     row = slice(graph.indptr[j], graph.indptr[j + 1])
     return float(graph.risk[row][graph.indices[row] == k][0])
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_refinement_costs_less_and_keeps_its_promises(seed):
-    grid = rough(seed, size=4.0, resolution=0.05)
-    graph = lattice(grid, 0.5, seed)
-    ends = (0, len(graph.nodes) - 1)
-    searched = plan(graph, grid, PlanRequest(*ends, 0.3, 1.0), BODY)
-    refined = plan(graph, grid, PlanRequest(*ends, 0.3, 1.0, "refined"), BODY)
-    assert refined.nodes == searched.nodes
-    assert refined.cost < 0.99 * searched.cost
-    assert refined.length <= 1.02 * searched.length + 1e-9
-    assert all(r <= s + 1e-9 for r, s in zip(refined.maxima[:3], searched.maxima[:3], strict=True))
-    np.testing.assert_array_equal(refined.points[[0, -1]], searched.points[[0, -1]])
-    xy = refined.points[:, :2]
-    poses = [
-        reference.features(grid, (x, y, np.arctan2(v - y, u - x)), BODY) for (x, y), (u, v) in pairwise(xy)
-    ]
-    assert all((p[:3] <= np.array(searched.maxima[:3]) + 1e-4).all() for p in poses)

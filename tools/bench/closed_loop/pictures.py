@@ -21,7 +21,6 @@ COLOURS = {
     "edge-only": "#ff7f0e",
     "mean-only": "#9467bd",
     "full": "#1f77b4",
-    "refined": "#2ca02c",
     "guarded": "#17becf",
     "ours": "#111111",
     "t_hybrid": "#8c564b",

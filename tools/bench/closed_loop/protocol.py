@@ -16,7 +16,7 @@ QUERY_COUNT = 10
 """Start-goal pairs per scene: those of the results in `docs/measurements/evaluation.md`."""
 MOST_QUERIES = 40
 """Pairs that each scene has, for studies that resolve smaller differences."""
-SHARED = ("native", "edge-only", "mean-only", "full", "refined")
+SHARED = ("native", "edge-only", "mean-only", "full")
 """Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
 OWN = ("guarded", "ours")
 """`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see

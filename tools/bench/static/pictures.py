@@ -16,7 +16,7 @@ from hal.scenes import load_scene
 from planning.search.plan import VARIANTS
 from tools.bench.static.study import METRICS, MODES, SCENES, Instance, survey_grid, values
 
-COLOURS = dict(zip(VARIANTS, ("#d62728", "#ff7f0e", "#9467bd", "#1f77b4", "#2ca02c"), strict=True))
+COLOURS = dict(zip(VARIANTS, ("#d62728", "#ff7f0e", "#9467bd", "#1f77b4"), strict=True))
 
 
 def draw(out: Path, instances: Sequence[Instance], drawn: dict[str, Any]) -> None:

@@ -1,4 +1,5 @@
-"""Kernels that both graph modes share: disc test, direction-aware terrain risk, symmetric 3x3 eigenvectors.
+"""Kernels shared with the graph of the released planner (`tools/baselines/native.py`): disc test, direction-aware
+terrain risk, symmetric 3x3 eigenvectors.
 
 Grids are float32 heights [m] with NaN where there is no map point; x0, y0 are the coordinates of the centre of
 cell [0, 0] and res is the cell size [m].

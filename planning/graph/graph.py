@@ -1,7 +1,7 @@
 """The Traversal Risk Graph: where the robot may stand and which straight moves connect those places.
 
-After Lee et al., "TRG-planner" (RA-L 2025). `mode="native"` reproduces the released planner for comparison with
-published figures, its defects included; `mode="corrected"` (the default) is for driving.
+After Lee et al., "TRG-planner" (RA-L 2025). The graph as that planner was released, its defects included, is in
+`tools/baselines/native.py`, for comparison with published figures.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.cells import Cells
 from planning.graph.describe import ALL_HEADINGS
 from planning.graph.lattice import Lattice
-from planning.graph.native import build_native
 from planning.graph.params import Changed, GraphParams, Window, changed_windows, checked_start
 
 __all__ = ["GraphParams", "TraversalGraph"]
@@ -43,7 +42,7 @@ class TraversalGraph:
             envelope (`planning.graph.prices`).
         frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
         turn_price: (n, 2) float32 [m/rad] of a bend and of a turn on the spot at the node, by the envelope; 0 where not
-            known (native, `from_edges`).
+            known (`from_edges`).
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
             clear of obstacles at the node; `planning.graph.describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
@@ -80,9 +79,8 @@ class TraversalGraph:
         self.version = 0
         self._lattice: Lattice | None = None
         self.cells: Cells | None = None
-        """What the graph knows of the map it was built on; None for native graphs and those not built here."""
+        """What the graph knows of the map it was built on; None for those not built here."""
         self._discs = np.empty((0, 3))
-        self._next_id = 0
 
     # -- making one ---------------------------------------------------------------------------------------------
 
@@ -107,9 +105,7 @@ class TraversalGraph:
         params = params or GraphParams()
         start = checked_start(grid, start_xy)
         graph = cls(params, seed, start, first_xy)
-        if params.mode == "native":
-            graph._build_native(grid)
-        elif not graph._refresh(grid, ()):
+        if not graph._refresh(grid, ()):
             raise NoRoute(
                 NoRouteReason.START_NOT_ON_GRAPH,
                 f"no drivable ground within one move of {start}: drive the robot by hand, slowly, onto open ground "
@@ -144,37 +140,6 @@ class TraversalGraph:
             nodes, edges, risk, None, frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
         )
         return graph
-
-    def _build_native(self, grid: ElevationGrid) -> None:
-        """Grow the whole graph anew; nodes that stand where they stood keep their ids."""
-        assert self.start_xy is not None
-        built = build_native(grid.height, grid.origin, grid.resolution, self.start_xy, self.params, self.seed)
-        if built is None:
-            raise NoRoute(
-                NoRouteReason.START_NOT_ON_GRAPH,
-                f"no free ground beside the start {self.start_xy}: begin on open ground",
-            )
-        nodes, edges, risk = built
-        version = self.version + 1
-        ids = np.arange(len(nodes))
-        if version > 1:
-            known = dict(zip(map(tuple, self.nodes[:, :2].tolist()), self.node_ids.tolist(), strict=True))
-            ids = np.array([known.get((float(x), float(y)), -1) for x, y in nodes[:, :2]], dtype=np.int64)
-            fresh = ids < 0
-            ids[fresh] = self._next_id + np.arange(np.count_nonzero(fresh))
-        self._next_id = max(self._next_id, int(ids.max(initial=-1)) + 1)
-        self._publish(
-            nodes,
-            edges,
-            risk,
-            None,
-            None,
-            None,
-            None,
-            ids,
-            np.full(len(nodes), version),
-            np.full(len(edges), version),
-        )
 
     def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
         """Recompute the lattice in `windows` and publish what is reachable; False if nothing was there to do."""
@@ -330,10 +295,7 @@ class TraversalGraph:
         before = (self.node_ids, self.indices)
         moved = start != self.start_xy
         self.start_xy = start
-        if self.params.mode == "native":
-            if windows or moved:
-                self._build_native(grid)
-        elif not self._refresh(grid, windows) and moved and self.nearest_node(start) is None:
+        if not self._refresh(grid, windows) and moved and self.nearest_node(start) is None:
             self._refresh(grid, (), force=True)
         return not (np.array_equal(before[0], self.node_ids) and np.array_equal(before[1], self.indices))
 

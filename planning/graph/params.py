@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,6 @@ class GraphSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    mode: Literal["corrected", "native"] = Field(
-        default="corrected",
-        description="corrected: the project's graph; native: the published one, for comparison",
-    )
     expand_dist: float = Field(default=0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
     robot_size: float = Field(
         default=0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
@@ -45,31 +40,31 @@ class GraphSettings(BaseModel):
     fall_cost: float = Field(
         default=FALL_COST,
         ge=0.0,
-        description="corrected: what a failure costs: a probability of 1 % adds a hundredth of it [m]",
+        description="what a failure costs: a probability of 1 % adds a hundredth of it [m]",
     )
     min_coverage: float = Field(
         default=0.70,
         ge=0.0,
         le=1.0,
-        description="corrected: least seen share of every cross-section of an edge's corridor",
+        description="least seen share of every cross-section of an edge's corridor",
     )
     blind_radius: float = Field(
         default=2.0,
         ge=0.0,
-        description="corrected: around the first start, ground the robot cannot see needs no coverage [m]",
+        description="around the first start, ground the robot cannot see needs no coverage [m]",
     )
-    length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
-    width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
+    length: float = Field(default=0.70, gt=0.0, description="footprint along travel [m]")
+    width: float = Field(default=0.43, gt=0.0, description="footprint across travel [m]")
     axle: float = Field(
         default=0.21,
         gt=0.0,
-        description="corrected: wheels touch ground so far before and behind base_link [m]",
+        description="wheels touch ground so far before and behind base_link [m]",
     )
     tread: float = Field(
-        default=0.1928, gt=0.0, description="corrected: middle of the body to the middle of a wheel [m]"
+        default=0.1928, gt=0.0, description="middle of the body to the middle of a wheel [m]"
     )
-    tread_width: float = Field(default=0.0518, gt=0.0, description="corrected: width of a wheel [m]")
-    radius: float = Field(default=0.086, gt=0.0, description="corrected: of a wheel or foot [m]")
+    tread_width: float = Field(default=0.0518, gt=0.0, description="width of a wheel [m]")
+    radius: float = Field(default=0.086, gt=0.0, description="of a wheel or foot [m]")
 
 
 class GraphParams(GraphSettings):
@@ -79,29 +74,25 @@ class GraphParams(GraphSettings):
     max_step: float = Field(
         default=0.10,
         gt=0.0,
-        description="corrected: highest vertical face driven over [m]",
+        description="highest vertical face driven over [m]",
     )
-    max_slope: float = Field(
-        default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
-    )
-    max_gap: float = Field(
-        default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
-    )
+    max_slope: float = Field(default=0.436, gt=0.0, lt=1.5, description="steepest ground at body scale [rad]")
+    max_gap: float = Field(default=0.10, ge=0.0, description="widest gap or unseen slit driven over [m]")
     max_posts: float | None = Field(
         default=None,
         gt=0.0,
-        description="corrected: highest posts of a stepfield that is driven through [m]; None = any up to max_step",
+        description="highest posts of a stepfield that is driven through [m]; None = any up to max_step",
     )
     keep_step: float = Field(
         default=0.0,
         ge=0.0,
-        description="corrected: ground found drivable stays so up to this much above max_step [m]; 0 = a graph that "
+        description="ground found drivable stays so up to this much above max_step [m]; 0 = a graph that "
         "depends on the map alone, not on how it came about",
     )
 
     controller: str | None = Field(
         default=None,
-        description="corrected: whose measured envelope prices faces, slopes, turns, posts and gaps; None = they cost "
+        description="whose measured envelope prices faces, slopes, turns, posts and gaps; None = they cost "
         "nothing",
     )
 

@@ -121,13 +121,6 @@ def places_ahead(table: RiskTable, request: PlanRequest, astride: bool) -> list[
     return ground.ahead(start, yaw) if astride or ground.held(start, yaw) else []
 
 
-def snapped(graph: TraversalGraph, grid: ElevationGrid, start: Place, goal: Place) -> tuple[int, int]:
-    """The nodes nearest to start and goal, as the paper has it. Raises NoRoute where there is none within 0.5 m."""
-    ends = start_node(graph, grid, start), goal_node(graph, grid, goal, allow_frontier=False)
-    assert ends[1] is not None, "without frontiers goal_node raises"
-    return ends[0], ends[1]
-
-
 def is_node(place: object) -> bool:
     """True for a node index, False for a position."""
     return isinstance(place, (int, np.integer)) and not isinstance(place, bool)
@@ -161,11 +154,11 @@ def on_map(grid: ElevationGrid, xy: tuple[float, float]) -> bool:
 def snap(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float]) -> int | None:
     """The nearest node within the snap distance that no wall separates from x, y; None when there is none.
 
-    A wall is a face above the graph's step limit on the straight line. Native graphs know no step limit, graphs
-    made from arrays were not built on this map: they take the nearest node where every line is blocked.
+    A wall is a face above the graph's step limit on the straight line. Graphs made from arrays were not built on this
+    map: they take the nearest node where every line is blocked.
     """
     nearest = graph.nearest_node(xy, SNAP_DISTANCE)
-    if nearest is None or graph.params.mode == "native":
+    if nearest is None:
         return nearest
     d2 = (graph.nodes[:, 0] - xy[0]) ** 2 + (graph.nodes[:, 1] - xy[1]) ** 2
     near = np.flatnonzero(d2 <= SNAP_DISTANCE**2)

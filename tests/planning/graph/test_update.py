@@ -227,21 +227,6 @@ def test_a_start_in_a_new_obstacle_keeps_the_graph_of_before() -> None:
     assert graph.nearest_node(scene.start) is None
 
 
-def test_a_native_graph_follows_too_and_keeps_ids() -> None:
-    scene = random_scene(6, size=6.0)
-    params = GraphParams(mode="native", height_threshold=0.15, collision_threshold=0.1)
-    graph = TraversalGraph.build(scene.grid, scene.start, params, 1)
-    ids = graph.node_ids.copy()
-    assert not graph.update(scene.grid, [(0, 0, 5, 5)])
-    assert graph.node_ids.tolist() == ids.tolist()
-    z = scene.grid.height.copy()
-    z[100:120, 100:120] += 1.0
-    assert graph.update(_with(scene.grid, z), [(100, 100, 120, 120)])
-    again = TraversalGraph.build(_with(scene.grid, z), scene.start, params, 1)
-    np.testing.assert_array_equal(graph.nodes, again.nodes)
-    assert len(np.unique(graph.node_ids)) == len(graph.nodes)
-
-
 def test_bad_updates_are_typed_errors() -> None:
     scene = random_scene(0, size=6.0)
     graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)

@@ -122,8 +122,8 @@ def test_each_worst_thing_is_told_in_words() -> None:
 
 def test_nothing_is_told_where_the_controller_or_the_map_is_not_known() -> None:
     grid = ground(kerb(0.1))
-    for params in (GraphParams(max_step=0.3), GraphParams(mode="native", controller="hybrid")):
-        graph = TraversalGraph.build(grid, (1.0, 2.0), params, 0)
+    known = TraversalGraph.build(grid, (1.0, 2.0), GraphParams(max_step=0.3), 0)
+    for graph in (known, TraversalGraph.from_edges(known.nodes, known.edges, known.risk[: len(known.edges)])):
         assert chance(graph, grid, LINE, np.zeros(3, np.bool_)) is None
 
 

@@ -28,6 +28,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
+from tools.baselines.native import native_graph
 from tools.bench.planning import crossings, query, watch
 from tools.bench.planning.oracle import NativeOracle
 from tools.bench.planning.worlds import dense_map, mountain_map, rough_terrain
@@ -133,8 +134,8 @@ def run(args: list[str]) -> Report:
         return report
     area_s = 0.0
     for key, problem, limit in (("native_20m", mountain_map(), 40.0), ("native_8m", dense_map(), 120.0)):
-        TraversalGraph.build(*problem)
-        value = cpu_seconds(partial(TraversalGraph.build, *problem), 7)
+        native_graph(*problem)
+        value = cpu_seconds(partial(native_graph, *problem), 7)
         baseline = cpu_seconds(partial(NativeOracle, *problem), 1)
         report.add(f"build_ms.{key}", 1e3 * value, "ms", limit=limit, baseline=1e3 * baseline)
         if key == "native_20m":

@@ -12,14 +12,13 @@ from planning.graph.graph import GraphParams
 ROOT = Path(__file__).resolve().parents[3]
 GOLDEN = ROOT.parent / "shared" / "golden"
 MOUNTAIN = GraphParams(
-    mode="native",
     expand_dist=0.6,
     robot_size=0.3,
     sample_num=7,
     height_threshold=0.16,
     collision_threshold=0.1,
 )
-DENSE = GraphParams(mode="native")
+DENSE = GraphParams()
 Problem = tuple[ElevationGrid, tuple[float, float], GraphParams, int]
 
 

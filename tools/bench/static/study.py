@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,16 @@ from planning.errors import NoRoute
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from planning.search.endpoints import snapped
 from planning.search.plan import VARIANTS, Plan, PlanRequest, plan
+from tools.baselines.native import native_graph, snapped
 from tools.bench.static.floor import edge_peaks, least_maxima
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
-MODES: tuple[Literal["native", "corrected"], ...] = ("native", "corrected")
+MODES: dict[str, Callable[[ElevationGrid, tuple[float, float], GraphParams, int], TraversalGraph]] = {
+    "native": native_graph,
+    "corrected": TraversalGraph.build,
+}
+"""The graphs that are compared."""
 METRICS = {"length": "m", "d_fb": "m", "a_lr": "deg", "p_int": "m", "untrusted": "-"}
 EXPECTED = {"length": 0.023, "d_fb": -0.100, "a_lr": -0.085, "p_int": -0.149}
 """Relative change of full against native that the paper reports."""
@@ -75,7 +79,7 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
         for mode in MODES:
             for seed in range(seeds):
                 try:
-                    graph = TraversalGraph.build(grid, scene.start[:2], GraphParams(mode=mode), seed)
+                    graph = MODES[mode](grid, scene.start[:2], GraphParams(), seed)
                 except NoRoute as none:
                     missing += [f"{name}, {mode}, seed {seed}, pair {k}: {none}" for k in range(pairs)]
                     continue

@@ -7,13 +7,15 @@ the same seed gives the same graph.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason
+from planning.graph import GraphParams, TraversalGraph
 from planning.graph.edge_risk import F32, disc_blocked, edge_risk, height_near, window_minmax
+from planning.search.endpoints import goal_node, start_node
 
 MAX_BLOCKED_DRAWS = 1000
 MAX_ROOT_TRIES = 101
@@ -272,15 +274,11 @@ def _longer(table, size):
     return out
 
 
-def build_native(
-    height: NDArray[np.float32],
-    origin: tuple[float, float],
-    res: float,
-    start: tuple[float, float],
-    params: Any,
-    seed: int,
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]] | None:
-    """Nodes (n, 3), undirected edges (m, 2), risk (m,); None where no free root is found near the start."""
+def native_graph(
+    grid: ElevationGrid, start: tuple[float, float], params: GraphParams, seed: int
+) -> TraversalGraph:
+    """The graph grown from x, y [m]. Raises NoRoute where no free root is found near the start."""
+    height, origin, res = grid.height, grid.origin, grid.resolution
     rows, cols = height.shape
     xs = (origin[0] + np.arange(cols) * res).astype(np.float32)
     ys = (origin[1] + np.arange(rows) * res).astype(np.float32)
@@ -292,6 +290,27 @@ def build_native(
         params.collision_threshold, key,
     )  # fmt: skip
     if status:
-        return None
+        raise NoRoute(
+            NoRouteReason.START_NOT_ON_GRAPH,
+            f"no free ground beside the start {start}: begin on open ground",
+        )
     index = np.cumsum(alive) - 1
-    return nodes[alive], index[edges].astype(np.int32), risk
+    graph = TraversalGraph.from_edges(nodes[alive], index[edges].astype(np.int32), risk)
+    graph.params = params
+    return graph
+
+
+def snapped(
+    graph: TraversalGraph, grid: ElevationGrid, start: tuple[float, float], goal: tuple[float, float]
+) -> tuple[int, int]:
+    """The nodes nearest to start and goal x, y [m], as the paper has it. Raises NoRoute where there is none within
+    0.5 m."""
+    if graph.cells is not None:
+        end = goal_node(graph, grid, goal, allow_frontier=False)
+        assert end is not None, "without frontiers goal_node raises"
+        return start_node(graph, grid, start), end
+    # a native graph knows no walls
+    ends = graph.nearest_node(start), graph.nearest_node(goal)
+    if ends[0] is None or ends[1] is None:
+        raise NoRoute(NoRouteReason.START_NOT_ON_GRAPH, "no node within 0.5 m of the start or the goal")
+    return ends[0], ends[1]

@@ -235,13 +235,6 @@ class TraversalGraph:
         c = self.cells
         return c is not None and (c.shape, c.origin, c.res) == (grid.shape, grid.origin, grid.resolution)
 
-    def isolated(self, xy: tuple[float, float]) -> bool:
-        """Whether the robot could stand near x, y [m], but nothing connects that place to the graph."""
-        if self.cells is None:
-            return False
-        where = self.cells.where[self.cells.chosen >= 0]
-        return bool((np.hypot(where[:, 0] - xy[0], where[:, 1] - xy[1]) <= SNAP_DISTANCE).any())
-
     def avoiding(self, discs: NDArray[np.floating]) -> TraversalGraph:
         """This graph, for a query, without the edges that touch any of the discs (k, 3): x, y, radius [m]."""
         source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))

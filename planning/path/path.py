@@ -39,17 +39,15 @@ def make_path(
     limits: PathLimits | None = None,
     terrain: Terrain | None = None,
 ) -> Path:
-    """Smooth `plan` into a path from the requested start to the requested goal.
+    """Smooth `plan` into a path.
 
     `terrain` is that of the whole grid where it has been made already (`RiskTable.terrain`); without it, that around
     the route is made. Each corner is rounded as far as the corridor allows, less where the body's risk on the curve
     would be above the route's, not at all where even that fails.
     """
     limits = limits or PathLimits()
-    wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
-    ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
     if terrain is None:
-        terrain = terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
+        terrain = terrain_around(grid, plan.points[:, :2], body)
     vertices, back = _vertices(plan)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
@@ -160,21 +158,10 @@ def _one_way(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits
 
 
 def _vertices(plan: Plan) -> tuple[Array, NDArray[np.bool_]]:
-    """(n, 2) corners of the route and (n - 1,) whether the way between two of them is driven backward.
-
-    A plan on a graph that does not know its map is led to the requested ends unchecked.
-    """
-    xy = [*plan.points[:, :2]]
+    """(n, 2) corners of the route and (n - 1,) whether the way between two of them is driven backward."""
+    xy = plan.points[:, :2]
     # The route of a baseline has no transitions: it is driven forward.
     back = [t.backward for t in plan.transitions] or [False] * (len(xy) - 1)
-    ends = (plan.request.start, plan.request.goal)
-    start, goal = (None if isinstance(end, (int, np.integer)) else np.array(end, np.float64) for end in ends)
-    if start is not None and not plan.exact:
-        xy.insert(0, start)
-        back.insert(0, False)
-    if goal is not None and not plan.exact and plan.reaches_goal:
-        xy.append(goal)
-        back.append(False)
     keep, ways = [xy[0]], []
     for p, way in zip(xy[1:], back, strict=True):
         if np.hypot(*(p - keep[-1])) > 1e-3:

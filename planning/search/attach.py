@@ -2,7 +2,7 @@
 
 A plan then begins where the robot stands and ends where it was sent, and its first leg, first turn, last leg and last
 turn are checked and priced like all others. Only a graph that was built on its map (`TraversalGraph.cells`) can do
-that; on others (made from edges) endpoints snap to the nearest node, as in the paper.
+that.
 """
 
 from __future__ import annotations

@@ -68,6 +68,4 @@ def as_plan(
     line = np.array(keep)
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     z = heights_at(Terrain.from_grid(grid, 0.5), line)
-    return Plan(
-        (), cost, cost, length, (), np.column_stack([line, z]), request, exact=True, expanded=expanded
-    )
+    return Plan((), cost, cost, length, (), np.column_stack([line, z]), request, expanded=expanded)

@@ -1,4 +1,4 @@
-"""Checking a request and putting its start and goal on the graph: as nodes of their own, or on the nearest node."""
+"""Checking a request and putting its start and goal on the graph, as nodes of their own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.errors import NoRoute, NoRouteReason
+from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.risk.table import RiskTable
 from planning.search.attach import SAME_PLACE, Ground, Spot, attached, dear_to_turn
@@ -33,8 +33,6 @@ class Endpoints:
     """[m] from the goal node to the goal asked for."""
     seen: bool = False
     """The goal without a node lies on seen ground and in no obstacle."""
-    exact: bool = False
-    """The start is the pose itself, not the node next to it."""
     ground: Ground | None = None
     """What tests a move beside the graph's edges; None on graphs that cannot."""
     _origin: RiskTable | None = None
@@ -50,14 +48,16 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
 
     `ahead`: places that become nodes as well, see `places_ahead`.
 
-    Positions on a graph that knows its map become nodes themselves (`planning.search.attach`); elsewhere they snap.
+    Positions become nodes themselves (`planning.search.attach`), where the graph knows its map; on another one they
+    have to be nodes, but for a goal beyond it.
     """
     graph, grid = table.graph, table.grid
-    places = request.start, request.goal
-    if not graph.knows(grid) or all(is_node(p) for p in places):
-        start = start_node(graph, grid, request.start)
-        return Endpoints(table, start, goal_node(graph, grid, request.goal, request.allow_frontier))
     start_xy, goal_xy = position(graph, request.start, "start"), position(graph, request.goal, "goal")
+    nodes = is_node(request.start), is_node(request.goal)
+    if not graph.knows(grid) or all(nodes):
+        if not nodes[0] or not (nodes[1] or request.allow_frontier):
+            raise PlanningError("a graph that was not built on this map knows ways between its nodes alone")
+        return Endpoints(table, int(request.start), int(request.goal) if nodes[1] else None)  # type: ignore[arg-type]
     if not is_node(request.start):
         _require_on_map(grid, start_xy, "start")
     yaw = math.nan if request.start_yaw is None else request.start_yaw
@@ -101,7 +101,6 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
         goal,
         short,
         seen,
-        not is_node(request.start),
         ground,
         table,
     )
@@ -151,33 +150,6 @@ def on_map(grid: ElevationGrid, xy: tuple[float, float]) -> bool:
     return x0 - half <= xy[0] <= x1 + half and y0 - half <= xy[1] <= y1 + half
 
 
-def snap(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float]) -> int | None:
-    """The nearest node within the snap distance that no wall separates from x, y; None when there is none.
-
-    A wall is a face above the graph's step limit on the straight line. Graphs made from arrays were not built on this
-    map: they take the nearest node where every line is blocked.
-    """
-    nearest = graph.nearest_node(xy, SNAP_DISTANCE)
-    if nearest is None:
-        return nearest
-    d2 = (graph.nodes[:, 0] - xy[0]) ** 2 + (graph.nodes[:, 1] - xy[1]) ** 2
-    near = np.flatnonzero(d2 <= SNAP_DISTANCE**2)
-    for k in near[np.argsort(d2[near], kind="stable")].tolist():
-        if step_on_line(grid, xy, (graph.nodes[k, 0], graph.nodes[k, 1])) <= graph.params.max_step:
-            return k
-    return nearest if graph.start_xy is None else None
-
-
-def step_on_line(grid: ElevationGrid, a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Highest face [m] between successive trusted cells on the straight line a -> b."""
-    n = int(np.ceil(np.hypot(b[0] - a[0], b[1] - a[1]) / (0.5 * grid.resolution))) + 1
-    t = np.linspace(0.0, 1.0, n)
-    col, row = _cells(grid, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
-    ok = grid.trusted[row, col]
-    z = grid.height[row, col][ok]
-    return float(np.abs(np.diff(z)).max(initial=0.0))
-
-
 def ground_at(
     grid: ElevationGrid, xy: tuple[float, float], max_step: float, radius: float, coverage: float
 ) -> str:
@@ -211,50 +183,14 @@ def _cells(
     return np.clip(col, 0, grid.shape[1] - 1), np.clip(row, 0, grid.shape[0] - 1)
 
 
-def start_node(graph: TraversalGraph, grid: ElevationGrid, start: Place) -> int:
-    """Node of the start. Raises NoRoute when it is off the map or off the graph."""
-    xy = position(graph, start, "start")
-    if is_node(start):
-        return int(start)  # type: ignore[arg-type]
-    _require_on_map(grid, xy, "start")
-    node = snap(graph, grid, xy)
-    if node is None and graph.isolated(xy):
-        raise NoRoute(
-            NoRouteReason.NOT_CONNECTED,
-            f"the ground at the start ({xy[0]:.2f}, {xy[1]:.2f}) can be driven on, but no way leads from it to the "
-            "rest of the graph: begin elsewhere",
-        )
-    if node is None:
-        raise NoRoute(
-            NoRouteReason.START_NOT_ON_GRAPH,
-            f"no drivable node within {SNAP_DISTANCE:.2f} m of the start ({xy[0]:.2f}, {xy[1]:.2f}): "
-            "drive the robot by hand, slowly, onto open ground that it sees",
-        )
-    return node
-
-
-def goal_node(graph: TraversalGraph, grid: ElevationGrid, goal: Place, allow_frontier: bool) -> int | None:
-    """Node of the goal; None when a frontier has to do. Raises NoRoute when neither can be."""
-    xy = position(graph, goal, "goal")
-    if is_node(goal):
-        return int(goal)  # type: ignore[arg-type]
-    if not allow_frontier:
-        _require_on_map(grid, xy, "goal")
-    node = snap(graph, grid, xy)
-    if node is None:
-        _judge(graph, grid, xy, allow_frontier)
-    return node
-
-
 def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], allow_frontier: bool) -> bool:
     """What a goal is that no node is near to. -> True: seen and no obstacle; False: not seen. Raises NoRoute for the
     rest."""
     where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
     p = graph.params
     ground = ground_at(grid, xy, p.max_step, _GOAL_DISC, p.min_coverage)
-    exact = graph.cells is not None
     inside = ground_at(grid, xy, max(OBSTACLE_FACE, p.max_step), 0.5 * p.width, p.min_coverage)
-    if ground == "blocked" and (not exact or inside == "blocked"):
+    if ground == inside == "blocked":
         raise NoRoute(
             NoRouteReason.GOAL_IN_OBSTACLE,
             f"{where} is in a known obstacle, no drivable node within {SNAP_DISTANCE:.2f} m: move it to free ground",
@@ -266,7 +202,7 @@ def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], 
             NoRouteReason.GOAL_UNKNOWN, f"the ground at {where} was not seen yet: allow a frontier or move it"
         )
     raise NoRoute(
-        NoRouteReason.NOT_CONNECTED if exact else NoRouteReason.GOAL_IN_OBSTACLE,
+        NoRouteReason.NOT_CONNECTED,
         f"no drivable node within {SNAP_DISTANCE:.2f} m of {where}: move it to ground the robot can reach",
     )
 

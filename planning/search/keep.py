@@ -10,8 +10,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.terrain import Sampler
@@ -21,9 +21,6 @@ from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
 from planning.search.request import Plan, PlanRequest
 from planning.search.straight import has_room_everywhere
-
-NODE_STRIP = 0.5
-"""[m] A point of a route has a node nearer than this, but where the graph has lost its ground."""
 
 
 def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
@@ -36,10 +33,7 @@ def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goa
     route = rest(at.ground, at.table.sampler, body, nodes, request, ends, places, start_yaw, goal_yaw)
     if route is None or not worth_keeping(float(route.cost(weights_of(body)).sum()), found.cost):
         return found
-    same = {
-        name: getattr(found, name)
-        for name in ("reaches_goal", "frontier", "to_go", "exact", "short", "expanded")
-    }
+    same = {name: getattr(found, name) for name in ("reaches_goal", "frontier", "to_go", "short", "expanded")}
     return replace(describe(nodes, request, body, route, 0), **same, kept=True)
 
 
@@ -74,7 +68,7 @@ def rest(
     moves = ground.moves(xy)
     if moves[-1, 0] < 0.0:
         return None
-    near = nearest(nodes[:, :2], xy[1:-1])
+    near = KDTree(nodes[:, :2]).query(xy[1:-1])[1].tolist()  # what the points are called
     count = len(legs)
     route = Route(
         (ends[0], *near, ends[1]),
@@ -93,33 +87,3 @@ def rest(
         return None
     route.evaluate(sampler, weights_of(body), 0, count)
     return route
-
-
-def nearest(nodes: NDArray[np.float64], places: NDArray[np.float64]) -> list[int]:
-    """Index of the node (n, 2) nearest to each place (k, 2), the lowest of equal ones."""
-    order = np.argsort(places[:, 0], kind="stable")
-    found = np.full(len(places), -1, np.int64)
-    found[order] = _within(nodes, places[order], NODE_STRIP)
-    return [
-        k if k >= 0 else int(np.argmin(np.hypot(*(nodes - place).T)))
-        for k, place in zip(found.tolist(), places, strict=True)
-    ]
-
-
-@njit(cache=True)
-def _within(nodes: np.ndarray, places: np.ndarray, reach: float) -> np.ndarray:
-    """The same of the nodes nearer than `reach` [m], -1 where there is none. `places` rise with x: on a large map
-    nearly all nodes are far from all of them."""
-    out = np.full(len(places), -1, np.int64)
-    least = np.full(len(places), reach)
-    for k in range(len(nodes)):
-        first = np.searchsorted(places[:, 0], nodes[k, 0] - reach)
-        for i in range(first, len(places)):
-            if places[i, 0] > nodes[k, 0] + reach:
-                break
-            if abs(nodes[k, 1] - places[i, 1]) >= least[i]:
-                continue
-            away = np.hypot(nodes[k, 0] - places[i, 0], nodes[k, 1] - places[i, 1])
-            if away < least[i]:
-                out[i], least[i] = k, away
-    return out

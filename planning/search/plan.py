@@ -240,7 +240,7 @@ def _search(
     found.evaluate(at.table.sampler, weights_of(at.table.body), 0, len(found.risk))
     if request.rules.straight and at.ground is not None:
         straighten(at.ground, at.table, found)
-    return replace(describe(at.table.graph.nodes, request, body, found, search.expanded), exact=at.exact)
+    return describe(at.table.graph.nodes, request, body, found, search.expanded)
 
 
 def _take_out_held(at: Endpoints, route: Route) -> bool:

@@ -125,8 +125,6 @@ class Plan:
     """x, y [m] of that frontier."""
     to_go: float = 0.0
     """[m] from that frontier to the goal, see `planning.search.to_go.way_to_go`."""
-    exact: bool = False
-    """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
     short: float = 0.0
     """[m] from the plan's end to the goal asked for, where that is too near to something to stand there; around walls,
     where nothing leads to it."""

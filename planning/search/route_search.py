@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.cost import cost_of
 from planning.search.bounds import Asked
-from planning.search.endpoints import Endpoints
+from planning.search.endpoints import Endpoints, is_node
 from planning.search.explain import Route
 from planning.search.pairs import Guide, guide_to, search_pairs
 from planning.search.request import PlanRequest
@@ -48,7 +48,7 @@ class RouteSearch:
             start_yaw,
             goal_yaw,
             sweeps,
-            at.exact,
+            not is_node(request.start),
             request.rules.backward if sweeps else np.inf,
             request.rules.turning,
         )

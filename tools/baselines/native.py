@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numba import njit
 
+from hal.raster import cells_of
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason
-from planning.graph import GraphParams, TraversalGraph
+from planning.graph import SNAP_DISTANCE, GraphParams, TraversalGraph
 from planning.graph.edge_risk import F32, disc_blocked, edge_risk, height_near, window_minmax
-from planning.search.endpoints import goal_node, start_node
 
 MAX_BLOCKED_DRAWS = 1000
 MAX_ROOT_TRIES = 101
@@ -303,14 +303,35 @@ def native_graph(
 def snapped(
     graph: TraversalGraph, grid: ElevationGrid, start: tuple[float, float], goal: tuple[float, float]
 ) -> tuple[int, int]:
-    """The nodes nearest to start and goal x, y [m], as the paper has it. Raises NoRoute where there is none within
-    0.5 m."""
-    if graph.cells is not None:
-        end = goal_node(graph, grid, goal, allow_frontier=False)
-        assert end is not None, "without frontiers goal_node raises"
-        return start_node(graph, grid, start), end
-    # a native graph knows no walls
-    ends = graph.nearest_node(start), graph.nearest_node(goal)
+    """The nodes nearest to start and goal x, y [m], as the paper has it; on a graph that knows its map (a native one
+    does not), that no wall separates from them. Raises NoRoute where there is none within 0.5 m."""
+    ends = _nearest(graph, grid, start), _nearest(graph, grid, goal)
     if ends[0] is None or ends[1] is None:
         raise NoRoute(NoRouteReason.START_NOT_ON_GRAPH, "no node within 0.5 m of the start or the goal")
     return ends[0], ends[1]
+
+
+def _nearest(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float]) -> int | None:
+    """A wall is a face above the graph's step limit on the straight line."""
+    nearest = graph.nearest_node(xy)
+    if nearest is None or graph.cells is None:
+        return nearest
+    d2 = (graph.nodes[:, 0] - xy[0]) ** 2 + (graph.nodes[:, 1] - xy[1]) ** 2
+    near = np.flatnonzero(d2 <= SNAP_DISTANCE**2)
+    for k in near[np.argsort(d2[near], kind="stable")].tolist():
+        if step_on_line(grid, xy, (graph.nodes[k, 0], graph.nodes[k, 1])) <= graph.params.max_step:
+            return int(k)
+    return None
+
+
+def step_on_line(grid: ElevationGrid, a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Highest face [m] between successive trusted cells on the straight line a -> b."""
+    n = int(np.ceil(np.hypot(b[0] - a[0], b[1] - a[1]) / (0.5 * grid.resolution))) + 1
+    t = np.linspace(0.0, 1.0, n)
+    col, row = (
+        np.clip(cells_of(a[k] + t * (b[k] - a[k]), grid.origin[k], grid.resolution), 0, grid.shape[1 - k] - 1)
+        for k in (0, 1)
+    )
+    ok = grid.trusted[row, col]
+    z = grid.height[row, col][ok]
+    return float(np.abs(np.diff(z)).max(initial=0.0))

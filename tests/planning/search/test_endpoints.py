@@ -65,7 +65,6 @@ def test_on_random_ground_nothing_that_is_driven_between_two_poses_sweeps_an_obs
         except NoRoute:
             continue
         found += 1
-        assert got.exact
         np.testing.assert_allclose(got.points[0, :2], (x, y))
         assert np.hypot(*(got.points[-1, :2] - (u, v))) == pytest.approx(got.short, abs=1e-9)
         for k, poses in enumerate(poses_of(got)):

@@ -20,7 +20,7 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.cells import Cells
 from planning.graph.describe import ALL_HEADINGS
 from planning.graph.lattice import Lattice
-from planning.graph.params import Changed, GraphParams, Window, changed_windows, checked_start
+from planning.graph.params import GraphParams, Window, changed_windows, checked_start
 
 __all__ = ["GraphParams", "TraversalGraph"]
 
@@ -272,14 +272,14 @@ class TraversalGraph:
     # -- keeping it up to date ----------------------------------------------------------------------------------
 
     def update(
-        self, grid: ElevationGrid, changed: Changed, start_xy: tuple[float, float] | None = None
+        self, grid: ElevationGrid, changed: Sequence[Window], start_xy: tuple[float, float] | None = None
     ) -> bool:
         """Rebuild the part of the graph whose terrain changed; True if the graph is not the same as before.
 
         `grid` is the whole map as it is now; it may have grown since the last call (same resolution, cells aligned).
-        `changed` tells where it differs: a bool mask over `grid`, or windows (row0, col0, row1, col1), ends
-        exclusive. Cells that the previous grid did not have count as changed by themselves. `start_xy` is where the
-        robot is now [m]: the graph holds what is reachable from there (None: from where it was).
+        `changed` tells where it differs: windows (row0, col0, row1, col1), ends exclusive. Cells that the previous grid
+        did not have count as changed by themselves. `start_xy` is where the robot is now [m]: the graph holds what is
+        reachable from there (None: from where it was).
         """
         if self.start_xy is None:
             raise PlanningError("a graph made from edges has no map to update it from")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.envelope import FALL_COST
@@ -15,7 +14,6 @@ from planning.graph.faces import FACE_NOISE
 
 Window = tuple[int, int, int, int]
 """row0, col0, row1, col1 of a part of the grid, ends exclusive."""
-Changed = NDArray[np.bool_] | Sequence[Window]
 
 
 class GraphSettings(BaseModel):
@@ -121,12 +119,8 @@ def checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[f
     return float(start[0]), float(start[1])
 
 
-def changed_windows(grid: ElevationGrid, changed: Changed) -> list[Window]:
-    """`changed` as windows inside the grid."""
-    if isinstance(changed, np.ndarray) and changed.dtype == np.bool_:
-        if changed.shape != grid.shape:
-            raise PlanningError(f"the changed mask has shape {changed.shape}, the grid {grid.shape}")
-        return windows_of(changed)
+def changed_windows(grid: ElevationGrid, changed: Sequence[Window]) -> list[Window]:
+    """The parts of `changed` inside the grid."""
     rows, cols = grid.shape
     out = []
     for window in changed:
@@ -156,19 +150,4 @@ def merge_windows(windows: Sequence[Window], pad: int) -> list[Window]:
             else:
                 break
         out.append(w)
-    return out
-
-
-def windows_of(mask: NDArray[np.bool_], tile: int = 32) -> list[Window]:
-    """Tight windows around the True cells of each tile of a (rows, cols) mask."""
-    _rows, _cols = mask.shape
-    touched = np.flatnonzero(mask.any(axis=1))
-    out: list[Window] = []
-    for r0 in np.unique(touched // tile) * tile:
-        columns = np.flatnonzero(mask[r0 : r0 + tile].any(axis=0))
-        for c0 in np.unique(columns // tile) * tile:
-            part = mask[r0 : r0 + tile, c0 : c0 + tile]
-            r = np.flatnonzero(part.any(axis=1))
-            c = np.flatnonzero(part.any(axis=0))
-            out.append((int(r0 + r[0]), int(c0 + c[0]), int(r0 + r[-1] + 1), int(c0 + c[-1] + 1)))
     return out

@@ -33,7 +33,7 @@ def test_after_any_change_the_graph_equals_a_full_rebuild(seed: int) -> None:
     z = scene.grid.height.copy()
     graph = TraversalGraph.build(scene.grid, scene.start, PARAMS, seed)
     differing = 0
-    for step in range(12):
+    for _ in range(12):
         r, c = rng.integers(0, 130, 2)
         if np.hypot(r + 10 - 75, c + 10 - 75) < 35:
             c += 60  # not on the start
@@ -41,12 +41,7 @@ def test_after_any_change_the_graph_equals_a_full_rebuild(seed: int) -> None:
         z = z.copy()
         z[r : r + h, c : c + w] += rng.choice([0.005, 0.3, -0.3, 1.0]) * rng.standard_normal()
         grid = _with(scene.grid, z)
-        if step % 2:
-            mask = np.zeros(z.shape, bool)
-            mask[r : r + h, c : c + w] = True
-            changed = graph.update(grid, mask)
-        else:
-            changed = graph.update(grid, [(r, c, r + h, c + w)])
+        changed = graph.update(grid, [(r, c, r + h, c + w)])
         _assert_same(graph, TraversalGraph.build(grid, scene.start, PARAMS, seed))
         differing += changed
     assert differing >= 4
@@ -231,8 +226,6 @@ def test_bad_updates_are_typed_errors() -> None:
     scene = random_scene(0, size=6.0)
     graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)
     grid = scene.grid
-    with pytest.raises(PlanningError, match="mask has shape"):
-        graph.update(grid, np.zeros((3, 3), bool))
     moved = ElevationGrid(grid.height, grid.trusted, (0.013, 0.0), grid.resolution)
     with pytest.raises(PlanningError, match="align"):
         graph.update(moved, [])
@@ -259,7 +252,7 @@ def crossings(keep: float) -> tuple[int, int]:
         if graph is None:
             graph = TraversalGraph.build(grid, (1.0, 1.5), GraphParams(blind_radius=0.0, keep_step=keep), 0)
         else:
-            graph.update(grid, np.ones(x.shape, bool))
+            graph.update(grid, [(0, 0, *x.shape)])
         now = bool(graph.nodes[:, 0].max() > 2.5)
         were += before
         stayed += before and now
@@ -285,6 +278,6 @@ def test_what_was_too_high_must_come_down_to_the_limit_and_what_rises_far_above_
         if graph is None:
             graph = TraversalGraph.build(grid, (1.0, 1.5), GraphParams(blind_radius=0.0, keep_step=0.03), 0)
         else:
-            graph.update(grid, np.ones(x.shape, bool))
+            graph.update(grid, [(0, 0, *x.shape)])
         reached.append(bool(graph.nodes[:, 0].max() > 2.5))
     assert reached == [False, True, True, False, False, True]

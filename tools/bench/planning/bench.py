@@ -62,11 +62,9 @@ def _update_ms(report: Report) -> None:
         r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
         height = height.copy()
         height[r : r + side, c : c + side] = grid.height[r : r + side, c : c + side] + rng.uniform(-0.3, 0.3)
-        changed = np.zeros(grid.shape, bool)
-        changed[r : r + side, c : c + side] = True
         now = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
         before = time.thread_time()
-        graph.update(now, changed)
+        graph.update(now, [(r, c, r + side, c + side)])
         times.append(time.thread_time() - before)
     full = cpu_seconds(lambda: TraversalGraph.build(grid, start, params, seed), 5)
     report.add("build_ms.corrected_8m", 1e3 * full, "ms")

@@ -63,7 +63,7 @@ def kept(step: float, keep: float, seed: int) -> tuple[int, int]:
                 grid, (1.0, 0.8), GraphParams(blind_radius=0.0, keep_step=keep), seed
             )
         else:
-            graph.update(grid, np.ones(grid.shape, bool))
+            graph.update(grid, [(0, 0, *grid.shape)])
         now = _crossings(graph)
         were += len(before)
         stayed += sum(bool((np.abs(now - y) < SAME_WAY).any()) for y in before)

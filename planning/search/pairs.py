@@ -80,14 +80,14 @@ def _nearly(cost: float) -> float:
 
 
 def search_pairs(
-    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, guide: Guide, most: int
+    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, guide: Guide
 ) -> tuple[float, np.ndarray, int, np.ndarray, Guide]:
     """Route over ordered pairs to the end node with the least cost plus `Asked.exit_cost`. `guide` may be of arcs with
     more room to turn.
 
     The footprint is the same turned by half a turn, so an edge has one evaluation and a turn two: with the same end of
     the body ahead after it, or with the other. Returns the cost of the route (inf: none over the states that `guide`
-    settled, or more than `most` looked at), its states, the number of expanded states, `tables.turns`, which may have
+    settled), its states, the number of expanded states, `tables.turns`, which may have
     grown, and the guide, which knows more.
     """
     # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on
@@ -97,7 +97,7 @@ def search_pairs(
     for _ in range(2):
         if np.isinf(least):
             break
-        cost, route, expanded, turns = _forward(sampler, w, arcs, tables, turns, asked, go, limit, most)
+        cost, route, expanded, turns = _forward(sampler, w, arcs, tables, turns, asked, go, limit)
         limit = _nearly(cost)
         if np.isinf(cost) or heap.n == 0 or heap.f[0] > limit:
             break
@@ -115,7 +115,6 @@ def _forward(
     asked: Asked,
     go: ToGo,
     limit: float,
-    limited: int,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result
     as of `search_pairs`."""
@@ -250,7 +249,7 @@ def _forward(
                 n = push(f, s, e, n, cost + h[to], to, entry)
             if state < 0 and n > 0:
                 break  # it goes on with picking
-            if state < 0 or expanded >= limited:
+            if state < 0:
                 return np.inf, none, expanded, turns
             been[state] = CLOSED
             at, picking = target[state // 2], False

@@ -15,10 +15,6 @@ from planning.search.explain import Route
 from planning.search.pairs import Guide, guide_to, search_pairs
 from planning.search.request import PlanRequest
 
-MOST_STATES, ALL_STATES = 20_000, 2**62
-"""States that a search looks at while it is led by bounds that know nothing of the turns the guard holds: beyond that
-it gets bounds of its own. 3,217 were the most that was seen."""
-
 
 class RouteSearch:
     """What the searches of one query share. Turns that are missing in `at.table.arcs` since the last one only make
@@ -76,12 +72,10 @@ class RouteSearch:
         first = self._guide is None
         if self._guide is None:
             self._guide = guide_to(*on, asked, *self._xy)
-        cost, route, self.expanded, turns, self._guide = search_pairs(
-            *on, asked, self._guide, ALL_STATES if first else MOST_STATES
-        )
+        cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide)
         if np.isinf(cost) and not first:
             self._guide = guide_to(*on, asked, *self._xy)
-            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL_STATES)
+            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide)
         table.keep(body, tables._replace(turns=turns))
         return cost, route
 

@@ -11,7 +11,7 @@ from numba import njit
 from hal.kernels import select
 from hal.raster import cell_of
 from planning.graph.edge_price import EVEN_TAN
-from planning.graph.faces import LEAST_FACE
+from planning.graph.faces import FACE_NOISE
 from planning.graph.flags import FACE, HIGH, LOW, STEP_BASE, UNSEEN
 from planning.graph.nodes import step_distance2
 from planning.graph.prices import angle_at, size_at
@@ -134,7 +134,7 @@ def turn_ground(height, trusted, faces, x0, y0, res, x, y, axle, climbed):
     r_mid = cell_of(y, y0, res)
     c_mid = cell_of(x, x0, res)
     inner, outer = near**2, far**2
-    least, wall = 1000.0 * LEAST_FACE, 1000.0 * climbed
+    least, wall = 1000.0 * FACE_NOISE, 1000.0 * climbed
     sizes = np.empty((2 * reach + 1) ** 2, np.int64)
     rise = np.zeros((4, 2))
     known = np.zeros((4, 2), np.int64)

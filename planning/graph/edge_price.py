@@ -15,7 +15,7 @@ from numba import njit
 
 from hal.kernels import inlined
 from hal.raster import cell_of
-from planning.graph.faces import LEAST_FACE
+from planning.graph.faces import FACE_NOISE
 from planning.graph.flags import FIELD, HOLE, STEP_BASE, UNSEEN, VIRTUAL
 from planning.graph.prices import LONGEST_TREAD, SIZE_COUNT, SIZE_STEP, angle_at, size_at, tread_at
 
@@ -87,7 +87,7 @@ def wheel_track(height, flags, faces, x0, y0, res, radius, xw, yw, ux, uy, d, cr
                 in_field += 1
                 if big <= 1000.0 * HIGHEST_FACE:
                     highest_post = max(highest_post, big)
-            if big >= 1000.0 * LEAST_FACE and not flag & (FIELD | HOLE | UNSEEN | VIRTUAL):
+            if big >= 1000.0 * FACE_NOISE and not flag & (FIELD | HOLE | UNSEEN | VIRTUAL):
                 rise = faces[r, c, 0] * ux + faces[r, c, 1] * uy
                 now = SIGN_UP if rise > 0.0 else (SIGN_DOWN if rise < 0.0 else NO_SIGN)
                 z = float(height[r, c])
@@ -96,7 +96,7 @@ def wheel_track(height, flags, faces, x0, y0, res, radius, xw, yw, ux, uy, d, cr
                 middle = (begin + k - 1) // 2
                 size = high - first if sign == SIGN_UP else first - low
                 size, angle = _face_at(faces, x0, y0, res, xw, yw, ux, uy, step, middle, size)
-                if LEAST_FACE <= size <= HIGHEST_FACE:
+                if FACE_NOISE <= size <= HIGHEST_FACE:
                     crossed[found, 0] = middle
                     crossed[found, 1] = size if sign == SIGN_UP else -size
                     crossed[found, 2] = angle
@@ -226,7 +226,7 @@ def slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
             if not (0 <= r < rows and 0 <= c < cols) or flags[r, c] & (FIELD | HOLE | UNSEEN | VIRTUAL):
                 known = False
                 break
-            if max(abs(faces[r, c, 0]), abs(faces[r, c, 1])) >= 1000.0 * LEAST_FACE:
+            if max(abs(faces[r, c, 0]), abs(faces[r, c, 1])) >= 1000.0 * FACE_NOISE:
                 known = False
                 break
             z[wheel] = height[r, c]

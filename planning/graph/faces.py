@@ -21,11 +21,9 @@ STEEPEST_SLOPE = 0.7
 TREAD_RATIO = 0.25
 """Where two rises meet, half of each, ground that rises by less than this share of a steep one is a tread: risers do
 not go on into each other."""
-LEAST_FACE = 0.03
-"""Lower faces [m] are noise of the map."""
 FACE_NOISE = 0.03
-"""[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs
-is a wall."""
+"""[m] by which a face on the map may be higher than the true one: lower ones are none, and what is more than that
+higher than the robot climbs is a wall."""
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.graph.faces import LEAST_FACE
+from planning.graph.faces import FACE_NOISE
 from planning.graph.flags import FIELD, POSTS
 from planning.graph.params import Window
 
@@ -30,8 +30,9 @@ ENTERED_WAY = 0.5
 EVEN_CELLS = 1
 """Even ground is a square of this many cells on each side of one: a lane between posts and a wall is not much wider on
 the map."""
-WALL_HEIGHT = 0.25
-"""Higher ones [m] are no posts, and nothing is compared beside them."""
+OBSTACLE_FACE = 0.25
+"""A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on. Higher
+ones are no posts, and nothing is compared beside them."""
 
 
 def reach(res: float) -> int:
@@ -92,9 +93,9 @@ def compared(faces, local, wide):
             x = np.int64(faces[r, c, 0])
             y = np.int64(faces[r, c, 1])
             size2 = x * x + y * y
-            if size2 > (1000.0 * WALL_HEIGHT) ** 2:
+            if size2 > (1000.0 * OBSTACLE_FACE) ** 2:
                 out[3, r, c] = 1
-            elif size2 >= (1000.0 * LEAST_FACE) ** 2:
+            elif size2 >= (1000.0 * FACE_NOISE) ** 2:
                 out[0, r, c], out[1, r, c], out[2, r, c] = x * x, y * y, x * y
     for k in range(4):
         summed = sums(out[k], local)

@@ -41,8 +41,9 @@ LONGEST_TREAD = 0.45
 """Faces up, or down, that are so far apart [m] at most are stairs."""
 ANGLE_STEP, ANGLE_COUNT = math.radians(5.0), 37
 """Angles of the tables [rad]: 0 to 180 deg."""
-POSTS_SPEED = 0.5
-"""At which posts are driven over [m/s]."""
+MEASURED_SPEED = 0.5
+"""[m/s] at which slopes, faces and posts within the limits of every controller are passed (`tools.bench envelope`):
+they are no reason to be slower."""
 
 
 class Prices(NamedTuple):
@@ -136,7 +137,7 @@ def _prices(controller: str | None, fall_cost: float, axle: float, tread: float,
     out.slope[:] = price("slope", 0.0, steep[:, None], angle)
     for k, name in enumerate(("bend", "spin")):
         out.turn[k] = price(name, MAP_SIGMA, size[:, None], steep, 1.0)
-    out.posts[:] = price("posts", MAP_SIGMA, size, POSTS_SPEED)
+    out.posts[:] = price("posts", MAP_SIGMA, size, MEASURED_SPEED)
     out.gap[:] = 0.25 * price("gap", MAP_SIGMA, size)
     # No height is no face, whatever the map's noise makes of it.
     out.face[:, :, 0], out.stairs[:, 0], out.posts[0], out.gap[0] = 0.0, 0.0, 0.0, 0.0

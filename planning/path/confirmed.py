@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hal.safety.planned import known_behind
 from hal.safety.swept import Body
 from mapping.grid import ElevationGrid
+from planning.graph.edges import SECTION_LENGTH
 from planning.graph.flags import ASSUMED, PLANTS, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.params import GraphParams
@@ -19,7 +20,6 @@ from planning.search.guarded import drives_over, known_around
 
 WHEEL_LEAD = -0.06
 """From this beyond their axle [m] to their radius beyond it the wheels that lead touch the ground."""
-SAMPLE_SPACING = 0.04
 LEAST_LENGTH, LOOKING_TURN = 0.06, 1.0
 """A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to
 both sides."""
@@ -60,7 +60,7 @@ def confirmed(
     share = _hidden_share(path, sign, graph, width)
     blocked = share > 1.0 - (graph.params.min_coverage if coverage is None else coverage)
     first = int(np.argmax(blocked)) if blocked.any() else len(blocked)
-    every = max(1, round(SAMPLE_SPACING / path.limits.spacing))
+    every = max(1, round(SECTION_LENGTH / path.limits.spacing))
     for k in np.flatnonzero(sign[:first] < 0.0)[::every]:
         if _behind(grid, path, int(k), graph.params) < BACK_SPARE:
             blocked[k] = True
@@ -77,9 +77,9 @@ def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
     if not leaves.any():
         return path
     length, width = graph.params.length, graph.params.width
-    reach = 0.5 * length + SAMPLE_SPACING
-    along = np.linspace(-reach, reach, round(2.0 * reach / SAMPLE_SPACING) + 1)
-    across = np.linspace(-width / 2, width / 2, round(width / SAMPLE_SPACING) + 1)
+    reach = 0.5 * length + SECTION_LENGTH
+    along = np.linspace(-reach, reach, round(2.0 * reach / SECTION_LENGTH) + 1)
+    across = np.linspace(-width / 2, width / 2, round(width / SECTION_LENGTH) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x, y = path.points[:, :1] + u * c - v * s, path.points[:, 1:2] + u * s + v * c
@@ -99,8 +99,8 @@ def _hidden_share(
 ) -> NDArray[np.float64]:
     """(n,) how much of the ground under the leading wheels is virtual; what the robot stands on at the begin is not."""
     p = graph.params
-    along = np.arange(p.axle + WHEEL_LEAD, p.axle + p.radius + 1e-9, SAMPLE_SPACING)
-    across = np.linspace(-width / 2, width / 2, round(width / SAMPLE_SPACING) + 1)
+    along = np.arange(p.axle + WHEEL_LEAD, p.axle + p.radius + 1e-9, SECTION_LENGTH)
+    across = np.linspace(-width / 2, width / 2, round(width / SECTION_LENGTH) + 1)
     u, v = (a.ravel() for a in np.meshgrid(along, across))
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x = path.points[:, :1] + sign[:, None] * u * c - v * s

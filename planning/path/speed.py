@@ -7,16 +7,12 @@ from numpy.typing import NDArray
 
 from hal.rotation import wrap
 from planning.braking import bend_speed, brake
-from planning.graph.faces import FACE_NOISE, LEAST_FACE
+from planning.graph.faces import FACE_NOISE
+from planning.graph.prices import MEASURED_SPEED
 from planning.path.types import PathLimits
 from planning.risk.body import BodyModel
 
 Array = NDArray[np.float64]
-
-
-MEASURED_SPEED = 0.5
-"""Slopes and faces within the limits of every controller are passed at this speed [m/s] (`tools.bench envelope`): they
-are no reason to be slower."""
 
 
 def speeds(
@@ -47,7 +43,7 @@ def speeds(
     share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
     careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk + along), 1.0 - 0.5 * share)
     careful = np.maximum(careful, np.minimum(limits.max_speed / (1.0 + risk), MEASURED_SPEED))
-    climb = np.where((faces > LEAST_FACE) & (faces <= limits.max_step + FACE_NOISE), limits.step_speed, 0.0)
+    climb = np.where((faces > FACE_NOISE) & (faces <= limits.max_step + FACE_NOISE), limits.step_speed, 0.0)
     careful = np.maximum(careful, climb)
     speed = bend_speed(curvature, limits.lateral_accel, limits.max_yaw_rate)
     speed = np.minimum(speed, np.interp(s, s_features, careful))

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from hal.named import NamedError, named
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph import SNAP_DISTANCE
 from planning.risk.terrain import Terrain, heights_at
 from planning.search import Plan, PlanRequest
 
 GROUP = "rbtrg.planners"
 OURS = "rb_trg"
-END_TOLERANCE = 0.5
-"""A line that begins further from the start, or ends further from the goal [m], answers another question."""
 Planner = Callable[[ElevationGrid, PlanRequest], Plan]
 
 
@@ -50,7 +49,7 @@ def _ask(method: str, function: Any, grid: ElevationGrid, request: PlanRequest) 
     if line.ndim != 2 or line.shape[1] not in (2, 3) or len(line) < 1 or not np.isfinite(line).all():
         raise PlanningError(f"planner {method} answered neither a Plan nor a line (n, 2) of finite metres")
     for what, place, end in (("start", request.start, line[0]), ("goal", request.goal, line[-1])):
-        if np.hypot(*(end[:2] - np.asarray(place))) > END_TOLERANCE:
+        if np.hypot(*(end[:2] - np.asarray(place))) > SNAP_DISTANCE:  # it answers another question
             raise PlanningError(f"planner {method}: its line does not lead to the {what}, {tuple(place)}")  # type: ignore[arg-type]
     length = float(np.hypot(*np.diff(line[:, :2], axis=0).T).sum())
     return as_plan(grid, request, line[:, :2], length, 0)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.fields import OBSTACLE_FACE
 from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.risk.table import RiskTable
 from planning.search.attach import SAME_PLACE, Ground, Spot, attached, dear_to_turn
 from planning.search.request import Place, PlanRequest
-from planning.search.to_go import OBSTACLE_FACE
 
 _GOAL_DISC = 0.30
 """Radius [m] of the ground around a goal that tells whether the goal is an obstacle or was never seen."""

@@ -13,10 +13,9 @@ from scipy import ndimage
 from mapping.grid import ElevationGrid
 from planning.graph.flags import FACE, UNSEEN_RAW, VIRTUAL
 from planning.graph.graph import TraversalGraph
+from planning.search.to_go import WAY_CELL
 
 Array = NDArray[np.float64]
-RASTER_CELL = 0.2
-"""[m] Cells on which sight is judged."""
 SIGHT_RANGE = 4.0
 """[m] A LiDAR on the back sees ground densely enough for the map within this distance."""
 SIGHT_RAYS = 72
@@ -32,7 +31,7 @@ JOINED_CELLS = np.ones((3, 3), np.bool_)
 
 @dataclass(slots=True)
 class Sight:
-    """The area, or the map and `SIGHT_RANGE` around it, in cells of `RASTER_CELL`."""
+    """The area, or the map and `SIGHT_RANGE` around it, in cells of `WAY_CELL`."""
 
     origin: tuple[float, float]
     """Lower left corner [m]."""
@@ -56,20 +55,20 @@ class Sight:
         high = np.array([x0 + cols * res, y0 + rows * res]) + SIGHT_RANGE
         if area is not None:
             low, high = np.maximum(low, area.min(axis=0)), np.minimum(high, area.max(axis=0))
-        shape = tuple(np.maximum(np.ceil((high - low) / RASTER_CELL).astype(int), 1)[::-1])
+        shape = tuple(np.maximum(np.ceil((high - low) / WAY_CELL).astype(int), 1)[::-1])
         origin = (float(low[0]), float(low[1]))
         seen, top = np.zeros(shape, np.bool_), np.full(shape, -np.inf, np.float32)
         _reduce(flags, grid.height, x0 - 0.5 * res, y0 - 0.5 * res, res, *origin, seen, top)
         inside = np.ones(shape, np.bool_)
         if area is not None:
-            y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * RASTER_CELL + 0.5 * RASTER_CELL
+            y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * WAY_CELL + 0.5 * WAY_CELL
             inside = _inside(x + origin[0], y + origin[1], area)
         ground = seen & ~np.isfinite(top)
         return cls(origin, inside & ~seen, inside & ground, top, np.zeros(shape, np.bool_))
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Row and column of places (n, 2), clipped, and which lie on the raster."""
-        c, r = (np.floor((xy[:, k] - self.origin[k]) / RASTER_CELL).astype(np.int64) for k in (0, 1))
+        c, r = (np.floor((xy[:, k] - self.origin[k]) / WAY_CELL).astype(np.int64) for k in (0, 1))
         on = (r >= 0) & (c >= 0) & (r < self.seen.shape[0]) & (c < self.seen.shape[1])
         return np.clip(r, 0, self.seen.shape[0] - 1), np.clip(c, 0, self.seen.shape[1] - 1), on
 
@@ -94,13 +93,13 @@ class Sight:
 
     def seen_near(self, nodes: Array) -> float:
         """[m^2] seen and within reach of the robot."""
-        return float((self.seen & self.near(nodes, 0.5)).sum()) * RASTER_CELL**2
+        return float((self.seen & self.near(nodes, 0.5)).sum()) * WAY_CELL**2
 
     def hidden(self, shown: float, bounded: bool) -> float:
         """[m^2] that may be seen yet: what the places show, and in an area all unseen ground joined to it."""
         if not bounded:
             return shown
-        return float(joined(self.taken, self.unseen).sum()) * RASTER_CELL**2
+        return float(joined(self.taken, self.unseen).sum()) * WAY_CELL**2
 
     def unreachable(self, nodes: Array) -> Array:
         """(m, 2) middles [m] of edges between seen ground far from every node and unseen ground."""
@@ -114,11 +113,9 @@ class Sight:
         names, count = ndimage.label(edge, JOINED_CELLS)
         for k in range(1, count + 1):
             rc = np.argwhere(names == k)
-            if len(rc) * RASTER_CELL >= LEAST_EDGE:
+            if len(rc) * WAY_CELL >= LEAST_EDGE:
                 r, c = rc[len(rc) // 2]
-                found.append(
-                    (self.origin[0] + (c + 0.5) * RASTER_CELL, self.origin[1] + (r + 0.5) * RASTER_CELL)
-                )
+                found.append((self.origin[0] + (c + 0.5) * WAY_CELL, self.origin[1] + (r + 0.5) * WAY_CELL))
         return np.array(found).reshape(-1, 2)
 
 
@@ -143,11 +140,11 @@ def _reduce(flags, height, x0, y0, res, ox, oy, seen, top):
     count = np.zeros((rows, cols), np.int32)
     known = np.zeros((rows, cols), np.int32)
     for r in range(flags.shape[0]):
-        j = math.floor((y0 + (r + 0.5) * res - oy) / RASTER_CELL)
+        j = math.floor((y0 + (r + 0.5) * res - oy) / WAY_CELL)
         if j < 0 or j >= rows:
             continue
         for c in range(flags.shape[1]):
-            i = math.floor((x0 + (c + 0.5) * res - ox) / RASTER_CELL)
+            i = math.floor((x0 + (c + 0.5) * res - ox) / WAY_CELL)
             if i < 0 or i >= cols:
                 continue
             count[j, i] += 1
@@ -164,13 +161,13 @@ def _reduce(flags, height, x0, y0, res, ox, oy, seen, top):
 def _mark(places, ox, oy, reach, out):
     """Set the cells within `reach` of places (n, 2)."""
     rows, cols = out.shape
-    n = math.ceil(reach / RASTER_CELL)
+    n = math.ceil(reach / WAY_CELL)
     for k in range(len(places)):
-        c = math.floor((places[k, 0] - ox) / RASTER_CELL)
-        r = math.floor((places[k, 1] - oy) / RASTER_CELL)
+        c = math.floor((places[k, 0] - ox) / WAY_CELL)
+        r = math.floor((places[k, 1] - oy) / WAY_CELL)
         for j in range(max(0, r - n), min(rows, r + n + 1)):
             for i in range(max(0, c - n), min(cols, c + n + 1)):
-                if (j - r) ** 2 + (i - c) ** 2 <= (reach / RASTER_CELL) ** 2:
+                if (j - r) ** 2 + (i - c) ** 2 <= (reach / WAY_CELL) ** 2:
                     out[j, i] = True
 
 
@@ -187,14 +184,14 @@ def _shown(places, unseen, taken, top, ox, oy):
 @njit(cache=True)
 def _look(place, unseen, taken, top, ox, oy, mark):
     rows, cols = unseen.shape
-    step = 0.5 * RASTER_CELL
+    step = 0.5 * WAY_CELL
     share = step * 2.0 * math.pi / SIGHT_RAYS
     total = 0.0
     for a in range(SIGHT_RAYS):
         dx, dy = math.cos(2.0 * math.pi * a / SIGHT_RAYS), math.sin(2.0 * math.pi * a / SIGHT_RAYS)
         for s in range(1, math.floor(SIGHT_RANGE / step) + 1):
-            c = math.floor((place[0] + s * step * dx - ox) / RASTER_CELL)
-            r = math.floor((place[1] + s * step * dy - oy) / RASTER_CELL)
+            c = math.floor((place[0] + s * step * dx - ox) / WAY_CELL)
+            r = math.floor((place[1] + s * step * dy - oy) / WAY_CELL)
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 continue
             if top[r, c] > place[2] + HIDING_HEIGHT:

@@ -13,18 +13,16 @@ from scipy import ndimage
 from hal.raster import cells_of
 from mapping.grid import ElevationGrid
 from planning.graph.closing import closed
-from planning.graph.fields import FIELD_SPREAD
+from planning.graph.fields import FIELD_SPREAD, OBSTACLE_FACE
 from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
 from planning.search.heap import ZERO, pop, push
 
 WAY_CELL = 0.2
-"""Raster of the way through unknown ground [m]."""
+"""Raster on which the way through unknown ground and sight are judged [m]."""
 KEEP_OFF = 0.15
 """That way keeps this far from known obstacles [m]: less than half the body, so that a gap of half a metre stays
 open."""
-OBSTACLE_FACE = 0.25
-"""A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
 AROUND_NODE = 0.4
 """[m] around a place that the robot can come to the ground is known."""
 IN_FIELD = 11.0

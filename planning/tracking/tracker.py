@@ -19,7 +19,7 @@ from hal.rotation import wrap
 from planning.tracking.learnt import Learnt
 from planning.tracking.path import PathError, TrackPath, track_path, track_paths
 from planning.tracking.slow import slowed_by
-from planning.tracking.stall import Stall
+from planning.tracking.stall import TURN_PATIENCE, Stall
 from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
@@ -28,16 +28,14 @@ _SEARCH_WINDOW = 0.6
 """How far ahead of the progress the nearest point is looked for [m]: beyond it a crossing path could capture us."""
 _SLIDE_BACK = 0.4
 """How far behind the progress [m] the robot may be after sliding back and still steer by the place where it is."""
-_START_WINDOW = 1.5
+START_WINDOW = 1.5
 """The same for a new path: the robot drove on while it was planned."""
 _SETTLE_TIME = 1.5
 """Longest wait for standstill at the goal [s]."""
 _TURN_TIME = 15.0
 """Longest time spent on the heading at the goal, corrections of the place included [s]."""
-_TURN_STALLED = 2.0
-"""A turn on the spot that brings less than _TURN_LEAST in this time [s] goes on driving back and forth."""
 _TURN_LEAST = 0.05
-"""[rad]"""
+"""A turn on the spot that brings less [rad] in `TURN_PATIENCE` goes on driving back and forth."""
 _CREEP_YAW_ACCEL = 0.5
 """[rad/s^2] at most on a path that is crept: at 2.5 the forces of a bend that begins felt like an edge, on level ground
 in 18 of 18 simulated drives, at 1.0 and less in none."""
@@ -161,7 +159,7 @@ class PathTracker:
         line = self._correcting or path
         sign = -1.0 if self._reverse else 1.0
         course = yaw if not self._reverse else yaw + math.pi  # direction in which the base travels
-        ahead = self._s + (_SEARCH_WINDOW if self._started else _START_WINDOW)
+        ahead = self._s + (_SEARCH_WINDOW if self._started else START_WINDOW)
         # A base that drifts while it turns at a corner would come back before it there, and turn back.
         back = 0.0 if self._phase is TrackPhase.ALIGNING else _SLIDE_BACK
         s = line.project(x, y, max(self._s - back, 0.0), min(ahead, line.length))
@@ -301,7 +299,7 @@ class PathTracker:
         """
         if left < self._turn_left - _TURN_LEAST or self._turn_left == math.inf:
             self._turn_left, self._turn_gained = left, now
-        if self._rock == 0.0 and now - self._turn_gained > _TURN_STALLED * 1e9:
+        if self._rock == 0.0 and now - self._turn_gained > TURN_PATIENCE * 1e9:
             self._rock = -self.params.min_speed
         if self._rock * ahead > _ROCK_DISTANCE * abs(self._rock):
             self._rock = -self._rock

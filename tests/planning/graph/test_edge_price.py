@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planning.graph.edge_price import EVEN_TAN, HIGHEST_FACE, TRACK_BEYOND, edge_price
-from planning.graph.faces import LEAST_FACE, update_faces
+from planning.graph.faces import FACE_NOISE, update_faces
 from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
 from planning.graph.params import GraphParams
 from planning.graph.prices import LONGEST_TREAD, Prices, angle_at, prices_of, size_at, tread_at
@@ -146,7 +146,7 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
         col, row = (np.floor((w[i] + k * step * u[i]) / RES + 0.5).astype(int) for i in (0, 1))
         f, flag, height = faces[row, col].astype(float), flags[row, col], z[row, col].astype(float)
         big = np.abs(f).max(axis=1)
-        told = (big >= 1000 * LEAST_FACE) & (flag & (FIELD | HOLE | UNSEEN | VIRTUAL) == 0)
+        told = (big >= 1000 * FACE_NOISE) & (flag & (FIELD | HOLE | UNSEEN | VIRTUAL) == 0)
         sign = np.where(told, np.sign(f @ u), 0.0)
         in_field = within & (flag & FIELD > 0)
         samples += within.sum()
@@ -158,7 +158,7 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
             part = height[i : j + 1]
             rise = part.max() - part[0] if sign[i] > 0 else part[0] - part.min()
             size = min(rise, 0.001 * big[m])
-            if not LEAST_FACE <= size <= HIGHEST_FACE:
+            if not FACE_NOISE <= size <= HIGHEST_FACE:
                 continue
             near = faces[row[m] - 3 : row[m] + 4, col[m] - 3 : col[m] + 4].reshape(-1, 2).astype(float)
             near = near[(near @ f[m] > 0.0) & (np.abs(near).max(axis=1) <= 1000 * HIGHEST_FACE)]
@@ -190,7 +190,7 @@ def plain(z: np.ndarray, flags: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.
         at = [a + (along + x) * u + y * np.array([-u[1], u[0]]) for x, y in WHEELS]
         cells = [tuple(np.floor(p / RES + 0.5).astype(int)[::-1]) for p in at]
         if any(
-            flags[c] & (FIELD | HOLE | UNSEEN | VIRTUAL) or np.abs(faces[c]).max() >= 1000 * LEAST_FACE
+            flags[c] & (FIELD | HOLE | UNSEEN | VIRTUAL) or np.abs(faces[c]).max() >= 1000 * FACE_NOISE
             for c in cells
         ):
             continue

@@ -15,7 +15,7 @@ from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
 from planning.graph.describe import ALL_HEADINGS, LONE_FACES, WHEEL_RING, turn_ground
-from planning.graph.faces import LEAST_FACE, update_faces
+from planning.graph.faces import FACE_NOISE, update_faces
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
 from planning.risk.body import BodyModel, sweep_poses
@@ -135,7 +135,7 @@ def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -
         noisy = (height + 0.003 * rng.standard_normal(x.shape)).astype(np.float32)
         for along in np.linspace(-reach, reach, 9):
             edge, slope = turned_on(noisy, 0.04, 2.5 + along, 1.5, GraphParams().climbed)
-            assert edge > LEAST_FACE or slope > math.tan(math.radians(12))
+            assert edge > FACE_NOISE or slope > math.tan(math.radians(12))
 
 
 def turned_on(
@@ -171,10 +171,10 @@ def test_what_a_turn_meets_is_the_highest_face_of_its_ring_and_the_mean_slope_of
         update_faces(faces, z, np.ones(z.shape, bool), res, 0, 0, 40, 40)
         size = np.abs(faces).max(axis=2)
         wall = ndimage.maximum_filter(size, 2 * n + 1) > 1000 * climbed
-        counted = np.sort(size[ring & ~wall & (size >= 1000 * LEAST_FACE)])[::-1]
+        counted = np.sort(size[ring & ~wall & (size >= 1000 * FACE_NOISE)])[::-1]
         lone = round(LONE_FACES / res**2)
         edge = 0.001 * counted[lone] if len(counted) > lone else 0.0
-        even, slopes = ring & (size < 1000 * LEAST_FACE), []
+        even, slopes = ring & (size < 1000 * FACE_NOISE), []
         for quarter in (
             (y > 20) & (x > 20),
             (y > 20) & (x <= 20),

@@ -101,14 +101,14 @@ def test_what_a_place_shows_is_what_a_plain_count_says() -> None:
     taken = unseen & (random.random((40, 40)) < 0.2)
     top = np.where(random.random((40, 40)) < 0.05, 1.0, -np.inf).astype(np.float32)
     place = np.array([[4.1, 3.7, 0.0]])
-    total, step = 0.0, 0.5 * sight.RASTER_CELL
+    total, step = 0.0, 0.5 * sight.WAY_CELL
     for a in range(sight.SIGHT_RAYS):
         for s in range(1, int(sight.SIGHT_RANGE / step) + 1):
             x, y = (
                 place[0, k] + s * step * f(2.0 * math.pi * a / sight.SIGHT_RAYS)
                 for k, f in ((0, math.cos), (1, math.sin))
             )
-            r, c = math.floor(y / sight.RASTER_CELL), math.floor(x / sight.RASTER_CELL)
+            r, c = math.floor(y / sight.WAY_CELL), math.floor(x / sight.WAY_CELL)
             if not (0 <= r < 40 and 0 <= c < 40):
                 continue
             if top[r, c] > sight.HIDING_HEIGHT:

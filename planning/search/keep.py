@@ -20,7 +20,7 @@ from planning.search.endpoints import Endpoints
 from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
 from planning.search.request import Plan, PlanRequest
-from planning.search.straight import has_room_everywhere
+from planning.search.straight import has_room
 
 
 def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
@@ -83,7 +83,7 @@ def rest(
         ground.turn_prices(xy).astype(np.float64),
         np.empty((count, 3, 3, 4)),
     )
-    if not has_room_everywhere(ground, route):
+    if not all(has_room(ground, route, k) for k in range(len(xy))):
         return None
     route.evaluate(sampler, weights_of(body), 0, count)
     return route

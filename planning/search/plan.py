@@ -24,7 +24,7 @@ from planning.search.guarded import without
 from planning.search.keep import kept
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
-from planning.search.straight import all_turns, free_at, straighten
+from planning.search.straight import free_at, straighten, turn_at
 from planning.search.to_go import fields_of, open_ground, way_to_go
 
 __all__ = [
@@ -249,8 +249,8 @@ def _take_out_held(at: Endpoints, route: Route) -> bool:
         return False
     held = False
     room = at.table.arcs.room.copy()  # the bounds of the search know the old one
-    for k, (node, yaw, turn) in enumerate(zip(route.nodes, *all_turns(route), strict=True)):
-        free = free_at(at.ground, route, k, (yaw, turn))
+    for k, node in enumerate(route.nodes):
+        (yaw, turn), free = turn_at(route, k), free_at(at.ground, route, k)
         if free < abs(turn):
             room[node], held = without(room[node], yaw, turn, free), True
     if held:

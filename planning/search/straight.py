@@ -9,7 +9,6 @@ cost is not higher, and no feature of the body is worse than the route has it an
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
@@ -111,23 +110,11 @@ def has_room(ground: Ground, route: Route, k: int) -> bool:
     return not route.rules.guarded or free_at(ground, route, k) >= abs(turn)
 
 
-def has_room_everywhere(ground: Ground, route: Route) -> bool:
-    """The same of all its points."""
-    rooms, (yaws, turns) = ground.headings(route.xy), all_turns(route)
-    for k, (room, yaw, turn) in enumerate(zip(rooms, yaws, turns, strict=True)):
-        if turn != 0.0 and not turn_is_free(room, yaw, turn):
-            return False
-        if route.rules.guarded and free_at(ground, route, k, (yaw, turn)) < abs(turn):
-            return False
-    return True
-
-
-def free_at(ground: Ground, route: Route, k: int, known: tuple[float, float] | None = None) -> float:
-    """How far [rad] the guard lets the body turn at point k of the route, where it turns as `known` (`turn_at`). Where
-    the robot stands already it needs nothing to spare: else it turned back in the middle of a turn. What is driven as a
-    bend is no turn on the spot.
+def free_at(ground: Ground, route: Route, k: int) -> float:
+    """How far [rad] the guard lets the body turn at point k of the route. Where the robot stands already it needs
+    nothing to spare: else it turned back in the middle of a turn. What is driven as a bend is no turn on the spot.
     """
-    yaw, turn = turn_at(route, k) if known is None else known
+    yaw, turn = turn_at(route, k)
     if abs(turn) <= BEND_ANGLE:
         return abs(turn)
     x, y = route.xy[k].tolist()
@@ -138,17 +125,7 @@ def turn_at(route: Route, k: int) -> tuple[float, float]:
     """Heading [rad] at which the body comes to point k of the route, and how far [rad] it turns there; 0 where any
     heading will do."""
     before, after = route.yaws(k, k).tolist()
-    return before, _turn(before, after)
-
-
-def all_turns(route: Route) -> tuple[list[float], list[float]]:
-    """The same of all points of the route."""
-    yaws = route.yaws(0, len(route.risk)).tolist()
-    return yaws[:-1], [_turn(before, after) for before, after in pairwise(yaws)]
-
-
-def _turn(before: float, after: float) -> float:
-    return 0.0 if math.isnan(before + after) else float(turn_angle(before, after))
+    return before, 0.0 if math.isnan(before + after) else float(turn_angle(before, after))
 
 
 def _peaks(moments: np.ndarray) -> np.ndarray:

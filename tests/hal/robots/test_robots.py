@@ -119,7 +119,11 @@ def test_a_copied_folder_is_a_robot_of_its_own(tmp_path: Path) -> None:
     shutil.copytree(describe("jackal").folder, copy, ignore=shutil.ignore_patterns("__pycache__"))
     for file, ours, mine in (
         ("robot.yaml", "name: jackal", "name: mine"),
-        ("simulated.py", "TORQUE, FASTEST = 8.0, 22.0", "TORQUE, FASTEST = 9.0, 22.0"),
+        (
+            "simulated.py",
+            "WHEEL_TORQUE, FASTEST_WHEEL = 8.0, 22.0",
+            "WHEEL_TORQUE, FASTEST_WHEEL = 9.0, 22.0",
+        ),
         ("drive.py", "HOLD_KP = 60.0", "HOLD_KP = 70.0"),
     ):
         text = (copy / file).read_text()

@@ -495,7 +495,7 @@ def test_where_no_frontier_is_left_the_robot_looks_at_what_is_hidden() -> None:
 def test_a_way_that_is_too_likely_to_fail_is_refused_unless_it_is_accepted() -> None:
     """A kerb that the controller climbs askew: its place and chance stand in the refusal."""
     y, x = np.mgrid[0:100, 0:150] * RES
-    height = 0.1 * (x - 3.0 + (y - 2.0) > 0.0)
+    height = 0.11 * (x - 3.0 + (y - 2.0) > 0.0)
     stage = planner("planner.accept_risk=0.0")
     stage.on(t.MAP_UPDATE, patch(height))
     refused = ask(stage, (1.0, 2.0), (5.0, 2.0), start_yaw=0.0)

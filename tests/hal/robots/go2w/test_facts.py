@@ -47,7 +47,7 @@ def test_motor_order_is_the_sdks() -> None:
     assert len(go2w.MOTORS) == len(set(go2w.MOTORS)) == 16
 
 
-@pytest.mark.parametrize(("name", "height"), [("STAND", 0.408), ("FOLDED", 0.193)])
+@pytest.mark.parametrize(("name", "height"), [("STAND", 0.408), ("FOLDED_POSE", 0.193)])
 def test_stand_heights(name: str, height: float) -> None:
     assert go2w.stand_height(getattr(go2w, name)) == pytest.approx(height, abs=1e-3)
 

@@ -143,6 +143,12 @@ class Run:
     """(rows, cols) bool, what it knew at the end."""
 
 
+def around(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
+    """The window around marked cells (rows, cols) as `TraversalGraph.update` takes it; none where none is marked."""
+    rows, cols = np.nonzero(cells)
+    return [(int(rows.min()), int(cols.min()), int(rows.max()) + 1, int(cols.max()) + 1)] if len(rows) else []
+
+
 def explore(world: World, blind: float = 0.0, every: float = 1.2, limit: float = 150.0) -> Run:
     """Drive to the goal as the stack does: look every 0.3 m, plan anew every `every` metres and at each path's end."""
     body = BodyModel()
@@ -184,7 +190,7 @@ def explore(world: World, blind: float = 0.0, every: float = 1.2, limit: float =
             run.track.append(xy)
             fresh = look(world, xy, blind) & ~seen
             seen |= fresh
-            graph.update(grid(), fresh, xy)
+            graph.update(grid(), around(fresh), xy)
             if not still_safe(path, graph, grid(), body)[0]:
                 break
         run.driven += max(at, 0.01)

@@ -18,10 +18,11 @@ from hal.named import NamedError, named
 from hal.rotation import wrap
 from planning.errors import PlanningError
 from planning.tracking.path import track_paths
-from planning.tracking.tracker import START_WINDOW
 from planning.tracking.types import OURS, TrackerConfig, TrackOutput, TrackPhase
 
 GROUP = "rbtrg.trackers"
+SEARCH_AHEAD = 1.5
+"""[m] ahead of the nearest point so far, the next one is looked for: a path may cross itself."""
 
 
 @dataclass(slots=True, eq=False)
@@ -155,7 +156,7 @@ class OwnTracker:
 
     def _nearest(self, path: Followed, x: float, y: float) -> int:
         near = path.nearest
-        until = int(np.searchsorted(self._along, self._along[near] + START_WINDOW, side="right"))
+        until = int(np.searchsorted(self._along, self._along[near] + SEARCH_AHEAD, side="right"))
         return near + int(np.hypot(*(path.points[near:until] - (x, y)).T).argmin())
 
     def _ask(self, path: Followed, robot: Robot, dt: float, most: float) -> None:

@@ -28,7 +28,7 @@ _SEARCH_WINDOW = 0.6
 """How far ahead of the progress the nearest point is looked for [m]: beyond it a crossing path could capture us."""
 _SLIDE_BACK = 0.4
 """How far behind the progress [m] the robot may be after sliding back and still steer by the place where it is."""
-START_WINDOW = 1.5
+_START_WINDOW = 1.5
 """The same for a new path: the robot drove on while it was planned."""
 _SETTLE_TIME = 1.5
 """Longest wait for standstill at the goal [s]."""
@@ -159,7 +159,7 @@ class PathTracker:
         line = self._correcting or path
         sign = -1.0 if self._reverse else 1.0
         course = yaw if not self._reverse else yaw + math.pi  # direction in which the base travels
-        ahead = self._s + (_SEARCH_WINDOW if self._started else START_WINDOW)
+        ahead = self._s + (_SEARCH_WINDOW if self._started else _START_WINDOW)
         # A base that drifts while it turns at a corner would come back before it there, and turn back.
         back = 0.0 if self._phase is TrackPhase.ALIGNING else _SLIDE_BACK
         s = line.project(x, y, max(self._s - back, 0.0), min(ahead, line.length))

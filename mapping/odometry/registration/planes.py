@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.kernels import borrows
+from hal.kernels import borrows, inlined
 from hal.types import Array
 
 TABLE_SLOTS = 1 << 16
@@ -103,6 +103,13 @@ def _renew(stats: Array, plane: Array) -> None:
         plane[4] = 0.0
 
 
+@inlined
+def _behind(plane: Array, s: int, x: float, y: float, z: float) -> bool:
+    """Whether a ray (x, y, z) meets the back of the plane of voxel `s`."""
+    along = plane[s, 0] * x + plane[s, 1] * y + plane[s, 2] * z
+    return along > 0.0 and along * along > BACK_COSINE**2 * (x * x + y * y + z * z)
+
+
 @njit(cache=True)
 def _insert(
     keys: NDArray[np.int64],
@@ -128,11 +135,9 @@ def _insert(
         x, y, z = rx + pose[0, 3], ry + pose[1, 3], rz + pose[2, 3]
         kx, ky, kz = math.floor(x / size), math.floor(y / size), 2 * math.floor(z / size)
         s = _slot(keys, kx, ky, kz)
-        if s >= 0 and plane[s, 3] > 0.0:
-            along = plane[s, 0] * rx + plane[s, 1] * ry + plane[s, 2] * rz
-            if along > 0.0 and along * along > BACK_COSINE**2 * (rx * rx + ry * ry + rz * rz):
-                kz += 1
-                s = _slot(keys, kx, ky, kz)
+        if s >= 0 and plane[s, 3] > 0.0 and _behind(plane, s, rx, ry, rz):
+            kz += 1
+            s = _slot(keys, kx, ky, kz)
         if s < 0:
             s = -s - 1
             keys[s] = ((kx + 1048576) << 42) | ((ky + 1048576) << 21) | (kz + 1048576)
@@ -225,8 +230,7 @@ def _fit(
         ry = r10 * px + r11 * py + r12 * pz
         rz = r20 * px + r21 * py + r22 * pz
         x, y, z = rx + tx, ry + ty, rz + tz
-        along = plane[s, 0] * rx + plane[s, 1] * ry + plane[s, 2] * rz
-        if along > 0.0 and along * along > BACK_COSINE**2 * (rx * rx + ry * ry + rz * rz):
+        if _behind(plane, s, rx, ry, rz):
             kx, ky, kz = math.floor(x / size), math.floor(y / size), 2 * math.floor(z / size) + 1
             s = _slot(keys, kx, ky, kz)
             if s < 0:

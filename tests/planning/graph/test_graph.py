@@ -1,4 +1,4 @@
-"""The graph's container: CSR, snapping, files, typed errors."""
+"""The graph's container: CSR, the nearest node, typed errors."""
 
 from __future__ import annotations
 

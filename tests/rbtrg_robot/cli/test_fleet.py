@@ -54,7 +54,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_all_robots_are_shown_the_silent_one_too(two: None) -> None:
     result = CliRunner().invoke(app, ["status", "--all", "--json"], catch_exceptions=False)
-    found = json.loads(result.output)
+    found = json.loads(result.stdout)
     assert set(found) == {"a", "b"}
     assert found["b"] is None
     assert found["a"]["robot"]["mission"]["step"] == 2

@@ -765,6 +765,7 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     robot.pace = 0.0  # however long the page takes, it is not there before the pause
     page.click("#file-run")
     until(page, "document.querySelector('#mission-said').textContent.includes('step 1 of 4 (goto-1)')")
+    soon(page, lambda: robot.state == "moving")  # the step begins with the robot's next word
     page.click("[data-mission=pause]")
     until(page, "document.querySelector('#mission-said').textContent.includes('paused')")
     soon(page, lambda: robot.state == "cancelled")

@@ -31,7 +31,6 @@ class Cells:
         frontier, headings: (ny, nx) as in `TraversalGraph`; turn_price: (ny, nx, 2).
         risk: (ny, nx, 12) float32 native risk of the edge to each of `NEIGHBOUR_OFFSETS`, -1 = no edge.
         price: (ny, nx, 12, 2, 2) float32 [m] what crossing it costs: there and back, driven forward and backward.
-        node_revision, edge_revision: the version at which terrain under any pose there last changed.
     """
 
     _PER_LATTICE_CELL = (
@@ -41,10 +40,8 @@ class Cells:
         "turn_price",
         "frontier",
         "headings",
-        "node_revision",
         "risk",
         "price",
-        "edge_revision",
     )
 
     def __init__(self, side: float) -> None:
@@ -66,10 +63,8 @@ class Cells:
         self.turn_price = np.zeros((ny, nx, 2), dtype=np.float32)
         self.frontier = np.zeros((ny, nx), dtype=np.bool_)
         self.headings = np.zeros((ny, nx), dtype=np.uint64)
-        self.node_revision = np.zeros((ny, nx), dtype=np.int32)
         self.risk = np.full((ny, nx, len(NEIGHBOUR_OFFSETS)), -1.0, dtype=np.float32)
         self.price = np.zeros((ny, nx, len(NEIGHBOUR_OFFSETS), 2, 2), dtype=np.float32)
-        self.edge_revision = np.zeros((ny, nx, len(NEIGHBOUR_OFFSETS)), dtype=np.int32)
 
     def copy(self) -> Cells:
         """Cells of their own that hold the same."""

@@ -288,7 +288,7 @@ def move(
 @njit(cache=True)
 def connect(
     height, flags, faces, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, max_gap, min_coverage, radius, prices, risk, price, revision, version,
+    length, width, max_tan, max_gap, min_coverage, radius, prices, risk, price,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
@@ -324,7 +324,6 @@ def connect(
                 if not again:
                     continue
                 risk[j, i, o] = -1.0
-                revision[j, i, o] = version
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
                 risk[j, i, o] = move(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,10 +45,6 @@ class TraversalGraph:
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
             clear of obstacles at the node; `planning.graph.describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
-        node_revision: (n,) int64, the `version` at which terrain under any pose at the node last changed.
-        edge_revision: (nnz,) int64, the same for poses along the edge, both ends included. What a search derived
-            from the map for an edge is still true while the edge's revision is not above the version it was
-            derived at; cells outside every footprint pose do not matter.
         version: int, 1 after a build.
     """
 
@@ -62,8 +57,6 @@ class TraversalGraph:
     turn_price: NDArray[np.float32]
     free_headings: NDArray[np.uint64]
     node_ids: NDArray[np.int64]
-    node_revision: NDArray[np.int64]
-    edge_revision: NDArray[np.int64]
 
     def __init__(
         self,
@@ -136,9 +129,7 @@ class TraversalGraph:
             raise PlanningError(f"edges name nodes outside 0..{len(nodes) - 1}")
         graph = cls(GraphParams(), 0, None)
         n = len(nodes)
-        graph._publish(
-            nodes, edges, risk, None, frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
-        )
+        graph._publish(nodes, edges, risk, None, frontier, None, None, np.arange(n))
         return graph
 
     def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
@@ -148,7 +139,7 @@ class TraversalGraph:
         if self._lattice is None:
             self._lattice = Lattice(self.params, self.seed, self.first_xy)
         before = self.node_ids if self.version else np.empty(0, dtype=np.int64)
-        if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
+        if not self._lattice.refresh(grid, windows) and not force:
             return False
         self.cells = self._lattice.cells
         built = self._lattice.reachable(grid, self.start_xy, before)
@@ -165,8 +156,6 @@ class TraversalGraph:
         turn_price: NDArray[np.float32] | None,
         free_headings: NDArray[np.uint64] | None,
         ids: NDArray[np.integer],
-        node_revision: NDArray[Any],
-        edge_revision: NDArray[Any],
     ) -> None:
         """Set all public arrays from an undirected edge list (m, 2), its price (m, 2, 2) there and back, and raise
         `version`."""
@@ -181,8 +170,6 @@ class TraversalGraph:
         if price is None:
             price = np.zeros((len(edges), 2, 2), np.float32)
         self.price = np.ascontiguousarray(price.transpose(1, 0, 2).reshape(-1, 2)[order])
-        self.edge_revision = np.tile(np.asarray(edge_revision, dtype=np.int64), 2)[order]
-        self.node_revision = np.asarray(node_revision, dtype=np.int64)
         self.node_ids = np.asarray(ids, dtype=np.int64)
         self.frontier = (
             np.zeros(n, dtype=np.bool_) if frontier is None else np.asarray(frontier, dtype=np.bool_)
@@ -246,7 +233,6 @@ class TraversalGraph:
         out._lattice, out._discs = None, np.asarray(discs, np.float64)
         out.indptr = np.concatenate([[0], np.cumsum(np.bincount(source[keep], minlength=len(self.nodes)))])
         out.indices, out.risk, out.price = self.indices[keep], self.risk[keep], self.price[keep]
-        out.edge_revision = self.edge_revision[keep]
         return out
 
     def allows(self, places: NDArray[np.float64]) -> bool:
@@ -265,7 +251,7 @@ class TraversalGraph:
         out = copy.copy(self)
         out._lattice = copy.copy(self._lattice)
         out.cells = out._lattice.cells = self._lattice.cells.copy()
-        out._lattice.redraw(grid, np.hstack([places - reach, places + reach]), sample, self.version + 1)
+        out._lattice.redraw(grid, np.hstack([places - reach, places + reach]), sample)
         out._publish(*out._lattice.reachable(grid, checked_start(grid, self.start_xy), self.node_ids))
         return out
 

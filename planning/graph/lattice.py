@@ -48,25 +48,25 @@ class Lattice:
         self.side = self.cells.side
         self.prices = prices_of(params)
 
-    def refresh(self, grid: ElevationGrid, changed: Sequence[Window], version: int) -> bool:
+    def refresh(self, grid: ElevationGrid, changed: Sequence[Window]) -> bool:
         """Compute again what depends on the changed windows or on new extent; False if there was nothing to do."""
         windows = [*self.cells.fit(grid), *changed]
         if not windows:
             return False
         boxes = self._flags(grid, windows)
         moved = self._nodes(grid, boxes)
-        self._edges(grid, boxes, moved, version)
-        self._describe(grid, boxes, moved, version)
+        self._edges(grid, boxes, moved)
+        self._describe(grid, boxes, moved)
         return True
 
-    def redraw(self, grid: ElevationGrid, boxes: Array, sample: int, version: int) -> None:
+    def redraw(self, grid: ElevationGrid, boxes: Array, sample: int) -> None:
         """Nodes from another sample, and their edges, in the lattice cells that `boxes` touch (k, 4: x0, y0, x1, y1
         [m])."""
         for box in boxes:
             self.cells.drawn[self.cells.within(box, 0.0)] = sample % SAMPLE_COUNT
         moved, unchanged = self._nodes(grid, boxes), np.empty((0, 4))
-        self._edges(grid, unchanged, moved, version)
-        self._describe(grid, unchanged, moved, version)
+        self._edges(grid, unchanged, moved)
+        self._describe(grid, unchanged, moved)
 
     def reachable(self, grid: ElevationGrid, start: tuple[float, float], before: NDArray[np.int64]) -> Built:
         """See `planning.graph.reachable`: within the longest straight move from `start`."""
@@ -136,7 +136,7 @@ class Lattice:
             )  # fmt: skip
         return (before[0] != cells.chosen) | (before[1] != cells.where).any(axis=2)
 
-    def _edges(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:
+    def _edges(self, grid: ElevationGrid, boxes: Array, moved: Mask) -> None:
         """Step 3: test every edge with a moved end or near `boxes`."""
         p, cells = self.params, self.cells
         xs, ys = _axes(grid)
@@ -145,20 +145,16 @@ class Lattice:
             grid.height, cells.flags, cells.faces, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where,
             NEIGHBOUR_OFFSETS, EDGE_REACH * self.side, moved, boxes, self._beside, rank, p.length, p.width,
             math.tan(p.max_slope), p.max_gap, p.min_coverage, F32(p.robot_size), self.prices, cells.risk, cells.price,
-            cells.edge_revision, version,
         )  # fmt: skip
 
-    def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:
+    def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask) -> None:
         """Step 4: what else is known at a node: frontier, headings that fit, edges under the wheels in a turn."""
         p, cells = self.params, self.cells
         todo, near = moved.copy(), moved.copy()
         ring = 0.5 * p.length + p.expand_dist
         for box in boxes:
             todo[cells.within(box, ring + UNKNOWN_RUN + 2.0 * cells.res)] = True
-            around = cells.within(box, self._around)
-            near[around] = True
-            cells.node_revision[around] = version
-        cells.node_revision[moved] = version
+            near[cells.within(box, self._around)] = True
         describe_nodes(
             grid.height, grid.trusted, cells.flags, cells.faces, *cells.origin, cells.res, cells.chosen, cells.where,
             todo, near, ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_price, self.prices,

@@ -26,8 +26,6 @@ class Built(NamedTuple):
     turn_price: NDArray[np.float32]
     free_headings: NDArray[np.uint64]
     ids: NDArray[np.int64]
-    node_revision: NDArray[np.int64]
-    edge_revision: NDArray[np.int64]
 
 
 def reachable(
@@ -65,6 +63,4 @@ def reachable(
         cells.turn_price[j, i][keep],
         cells.headings[j, i][keep],
         ids[keep],
-        cells.node_revision[j, i][keep].astype(np.int64),
-        cells.edge_revision[ej, ei, eo][kept].astype(np.int64),
     )

@@ -331,7 +331,6 @@ def attached(
     out.indices = np.insert(graph.indices, where, target.astype(np.int32))
     out.risk = np.insert(graph.risk, where, cost[:, 0])
     out.price = np.insert(graph.price, where, cost[:, 1:], axis=0)
-    out.edge_revision = np.insert(graph.edge_revision, where, graph.version)
     added = np.bincount(source, minlength=n + len(places))
     out.indptr = indptr + np.concatenate([[0], np.cumsum(added)])
     kept = np.repeat(np.concatenate([[0], np.cumsum(added)])[:n], np.diff(graph.indptr)) + np.arange(
@@ -343,5 +342,4 @@ def attached(
     out.turn_price = np.concatenate([graph.turn_price, turns])
     out.free_headings = np.append(graph.free_headings, np.array([p.headings for p in places], np.uint64))
     out.node_ids = np.append(graph.node_ids, np.arange(-len(places), 0))
-    out.node_revision = np.append(graph.node_revision, np.full(len(places), graph.version))
     return out, kept

@@ -159,9 +159,7 @@ def describe(
     count = len(route.risk)
     length = route.length(0, count)
     terms = route.terms(w, 0, count, sweeps=request.variant != "edge-only")
-    decided = terms.argmax(axis=1)
-    each = np.arange(len(length))
-    body_term, unknown_term = terms[each, decided[:, 0], 0], terms[each, decided[:, 1], 1]
+    body_term, unknown_term = terms.max(axis=1).T
     native = cost_of(w, length, route.risk, 0.0, 0.0)
     full = route.factor(0, count) * cost_of(w, length, route.risk, body_term, unknown_term)
     cost = (native if request.variant == "native" else full) + route.price
@@ -185,8 +183,6 @@ def describe(
                 float(turns[t]),
                 float(route.price[t]),
                 bool(route.back[t]),
-                SETS[decided[t, 0]],
-                SETS[decided[t, 1]],
                 mean,
                 tail,
                 peak,

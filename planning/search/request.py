@@ -91,10 +91,6 @@ class Transition:
     """[m] for what the edge crosses, by the controller's envelope (`planning.graph.prices`)."""
     backward: bool
     """Driven with the rear of the body ahead."""
-    body_from: str
-    """Pose set that decided B: one of `SETS`."""
-    unknown_from: str
-    """Pose set that decided U."""
     mean: dict[str, dict[str, float]]
     """Per pose set and feature (`FEATURES`): mean of the scaled values."""
     tail: dict[str, dict[str, float]]

@@ -115,21 +115,6 @@ def test_an_obstacle_kills_nodes_at_once_and_they_stay_away_until_it_leaves() ->
     assert graph.node_ids.tolist() == before.tolist()
 
 
-def test_revisions_rise_only_where_the_terrain_changed() -> None:
-    scene = random_scene(2, size=7.0)
-    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)
-    z = scene.grid.height.copy()
-    z[20:30, 20:30] += 0.01
-    graph.update(_with(scene.grid, z), [(20, 20, 30, 30)])
-    d = np.hypot(graph.nodes[:, 0] - 1.0, graph.nodes[:, 1] - 1.0)
-    assert (graph.node_revision[d < 0.6] == 2).all()
-    assert (graph.node_revision[d > 2.5] == 1).all()
-    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
-    assert (graph.edge_revision[(d[source] < 0.5) | (d[graph.indices] < 0.5)] == 2).all()
-    assert (graph.edge_revision[d[source] > 3.5] == 1).all()
-    assert 0.02 < np.mean(graph.edge_revision == 2) < 0.5
-
-
 def test_a_growing_map_extends_the_graph_and_equals_a_full_rebuild() -> None:
     scene = random_scene(4, size=8.0)
     full = scene.grid

@@ -47,6 +47,7 @@ from rbtrg_robot.stage_config import (
     FreshnessConfig,
     GraphConfig,
     GuardConfig,
+    HomeConfig,
     LoopsConfig,
     NavigatorConfig,
     PlannerConfig,
@@ -181,6 +182,7 @@ class StackConfig(BaseModel):
     recorder: RecorderConfig = RecorderConfig()
     console: ConsoleConfig = ConsoleConfig()
     comms: CommsConfig = CommsConfig()
+    home: HomeConfig = HomeConfig()
 
     @model_validator(mode="before")
     @classmethod

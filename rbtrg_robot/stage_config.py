@@ -233,6 +233,31 @@ class CommsConfig(BaseModel):
     )
 
 
+class HomeConfig(BaseModel):
+    """When a battery sends the robot home."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    reserve: float = Field(
+        1.2,
+        ge=1.0,
+        le=5.0,
+        description="the way home may take so many times what driving cost so far",
+    )
+    per_metre: float = Field(
+        0.0005,
+        gt=0.0,
+        le=0.1,
+        description="state of charge [0..1] that a metre takes at least, and alone until driving took 2 %",
+    )
+    speed: float = Field(
+        0.3, gt=0.0, le=3.0, description="speed along ways home, by experience of explored ground [m/s]"
+    )
+    told_ahead: float = Field(
+        120.0, ge=0.0, le=3600.0, description="so long before the way home must begin it is told [s]"
+    )
+
+
 class ConsoleConfig(BaseModel):
     """Where the page for operators is served."""
 

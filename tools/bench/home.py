@@ -21,7 +21,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
 from rbtrg_robot.missions.file import parse
-from rbtrg_robot.stages.mission.reserve import PER_METRE, RESERVE_FACTOR, SPARE_CHARGE
+from rbtrg_robot.stages.mission.reserve import CHARGE_STEP
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode
 from tools.bench.records import Records
@@ -158,9 +158,10 @@ class Drive:
         way, stand = {"stands": (DETOUR_RATIO * away, 20.0), "stays": (DETOUR_RATIO * away, 10.0)}.get(
             what, (FAULT_SHARE * away, 0.0)
         )
-        kept = RESERVE_FACTOR * PER_METRE * (0.5 * away if what == "stays" else way)
+        home = self._stack.config.home
+        kept = home.reserve * home.per_metre * (0.5 * away if what == "stays" else way)
         seconds = way / WAY_SPEED + 3.0 + stand
-        self._charge(self._stack.config.gate.min_battery + SPARE_CHARGE + kept + seconds / life)
+        self._charge(self._stack.config.gate.min_battery + CHARGE_STEP + kept + seconds / life)
         self._stack.run(0.5)
         self._send()
         if what == "stays":

@@ -17,7 +17,6 @@ from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, GoalStep, Outcome, Verdict
 from rbtrg_robot.stages.mission.explore import LISTED_PLACES
 from rbtrg_robot.stages.mission.order import GOAL_SPACING
-from rbtrg_robot.stages.mission.reserve import HOME_SPEED
 from rbtrg_robot.stages.mission.way_home import Place
 from rbtrg_robot.stages.navigation.progress import Pose2
 
@@ -109,18 +108,19 @@ class Coverage(GoalStep):
         now: int,
         goal: msg.GoalStatus | None,
         robot: msg.RobotState | None,
-        way: float = math.nan,
+        back: float = math.nan,
         low: str = "",
     ) -> Verdict:
-        """From the newest words of navigator and robot; `way` home [m], and why the battery needs it to begin."""
+        """From the newest words of navigator and robot; `back`: how long the way home takes [s], NaN where none is
+        known; `low`: why the battery needs it to begin."""
         if self._drive is not None:
             drive = self._drive.verdict(now, goal, robot)
             if drive.outcome is Outcome.NEEDS_OPERATOR:
                 return drive
             if drive.outcome is not Outcome.RUNNING:
                 self._ended(drive)
-        back = way / HOME_SPEED if self._home and math.isfinite(way) else 0.0
-        if 0.0 < self._limit < (now - self._began) / NS + back:
+        needed = back if self._home and math.isfinite(back) else 0.0
+        if 0.0 < self._limit < (now - self._began) / NS + needed:
             return self._end(f"the {self._limit / 60:g} minutes are over")
         if low:
             return self._end(low)

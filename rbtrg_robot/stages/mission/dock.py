@@ -79,11 +79,11 @@ class Docking(GoalStep):
         now: int,
         goal: msg.GoalStatus | None,
         robot: msg.RobotState | None,
-        way: float = math.nan,
+        back: float = math.nan,
         low: str = "",
     ) -> Verdict:
         """From the newest words of navigator and robot. A low battery is a reason to dock."""
-        del way, low
+        del back, low
         self._now = now
         if self._drive is not None:
             drive = self._drive.verdict(now, goal, robot)

@@ -12,7 +12,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.provenance import fingerprint
-from rbtrg_robot.stage_config import CommsConfig
+from rbtrg_robot.stage_config import CommsConfig, HomeConfig
 from rbtrg_robot.stages.mission.mission import Mission, Phase
 from rbtrg_robot.stages.mission.order import (
     EVERYWHERE,
@@ -72,12 +72,13 @@ class MissionStage:
         prior_map: str = "",
         floor: float = 0.0,
         comms: CommsConfig = CommsConfig(),
+        home: HomeConfig = HomeConfig(),
     ) -> None:
         """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty; `floor`: see
-        `Reserve`; `comms`: for whatever does not say it itself."""
+        `Reserve`; `comms`: for whatever does not say it itself; `home`: when its battery sends the robot home."""
         self._comms = comms
         self._possible, self._prior_map = possible, prior_map
-        self._world = World(reserve=Reserve(floor))
+        self._world = World(reserve=Reserve(floor, home))
         self._runner = Runner(self._world)
         self._frame = MapFrame()
         self._told_home: Pose2 | None = None
@@ -355,4 +356,6 @@ def build(config: StackConfig) -> MissionStage:
     possible = (
         EVERYWHERE | ({Kind.RECORD} if recorded else set()) | ({Kind.PHOTO} if recorded and sees else set())
     )
-    return MissionStage(possible, fingerprint(config.map_file), config.gate.min_battery, config.comms)
+    return MissionStage(
+        possible, fingerprint(config.map_file), config.gate.min_battery, config.comms, config.home
+    )

@@ -18,7 +18,6 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
 from rbtrg_robot.stages.mission.order import Kind
-from rbtrg_robot.stages.mission.reserve import HOME_SPEED
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.convert import MAP
@@ -173,18 +172,18 @@ class Exploration:
         now: int,
         goal: msg.GoalStatus | None,
         robot: msg.RobotState | None,
-        way: float = math.nan,
+        back: float = math.nan,
         low: str = "",
     ) -> Verdict:
-        """From the newest words of navigator and robot; `way` home [m] (`way_home`), and why the battery needs it to
-        begin."""
+        """From the newest words of navigator and robot; `back`: how long the way home takes [s], NaN where none is
+        known; `low`: why the battery needs it to begin."""
         if self._drive is not None and self._target is not None:
             drive = self._drive.verdict(now, goal, robot)
             if drive.outcome is Outcome.NEEDS_OPERATOR:
                 return drive
             if drive.outcome is not Outcome.RUNNING:
                 self._ended(drive, now)
-        if why := self._over(now, way) or (low if self._views else ""):
+        if why := self._over(now, back) or (low if self._views else ""):
             return self._end(why)
         if self._open and (now - self._heard) / NS > GIVE_UP:
             refused = self._views.refused if self._views else ""
@@ -208,16 +207,16 @@ class Exploration:
         self._open = False  # it was asked from elsewhere
         self._stood = now
 
-    def _over(self, now: int, way: float) -> str:
+    def _over(self, now: int, back: float) -> str:
         """Why time or coverage end it; empty where they do not."""
         views, step = self._views, self._step
         if views is None:
             return ""
         if 0.0 < step.until <= self.coverage and len(step.area):
             return f"{100 * step.until:g} % of the area are seen"
-        back = way / HOME_SPEED if self._home is not None and math.isfinite(way) else 0.0
+        needed = back if self._home is not None and math.isfinite(back) else 0.0
         spent = (now - self._began) / NS
-        return f"the {step.duration / 60:g} minutes are over" if 0.0 < step.duration < spent + back else ""
+        return f"the {step.duration / 60:g} minutes are over" if 0.0 < step.duration < spent + needed else ""
 
     @property
     def coverage(self) -> float:

@@ -5,21 +5,12 @@ from __future__ import annotations
 import math
 
 from hal.types import NS
+from rbtrg_robot.stage_config import HomeConfig
 from rbtrg_robot.stages.mission.way_home import SET_JUMP
 from rbtrg_robot.stages.navigation.progress import Pose2
 
-RESERVE_FACTOR = 1.2
-"""The way home may take so many times what driving cost so far."""
-PER_METRE = 0.0005
-"""State of charge [0..1] that a metre is thought to take at least, and alone until driving took ENOUGH: a robot tells
-whole percents, so the first metres say little."""
-ENOUGH_CHARGE = 0.02
-SPARE_CHARGE = 0.01
-"""State of charge [0..1] kept beside: to plan and to turn round takes some, and a robot tells whole percents."""
-TOLD_AHEAD = 120.0
-"""[s] before the way home must begin it is told."""
-HOME_SPEED = 0.3
-"""[m/s] along ways home, by experience of explored ground."""
+CHARGE_STEP = 0.01
+"""State of charge [0..1] in which robots tell it. One is kept beside; two must be spent to say what a metre takes."""
 LEAST_MOVE = 0.005
 """[m] between two poses of a robot that drives."""
 
@@ -27,9 +18,9 @@ LEAST_MOVE = 0.005
 class Reserve:
     """Takes the state of charge and the poses of one drive."""
 
-    def __init__(self, floor: float) -> None:
+    def __init__(self, floor: float, home: HomeConfig = HomeConfig()) -> None:
         """`floor`: state of charge [0..1] at which the robot stops wherever it stands."""
-        self._floor = floor
+        self._floor, self._home = floor, home
         self._first: tuple[float, int] | None = None
         """State of charge, and when [ns]."""
         self._told = self._now = 1.0
@@ -58,20 +49,26 @@ class Reserve:
     @property
     def per_metre(self) -> float:
         """State of charge [0..1] that a metre takes."""
-        known = self._spent >= ENOUGH_CHARGE and self._metres > 0.0
-        return max(PER_METRE, self._spent / self._metres) if known else PER_METRE
+        least = self._home.per_metre
+        known = self._spent >= 2.0 * CHARGE_STEP and self._metres > 0.0
+        return max(least, self._spent / self._metres) if known else least
+
+    def seconds(self, way: float) -> float:
+        """[s] that a way of so much [m] takes."""
+        return way / self._home.speed
 
     def left(self, way: float) -> float:
         """[s] until a way home of so much [m] must begin, for a robot that goes on as it did; infinite where nothing is
         known."""
         if self._first is None or not math.isfinite(way):
             return math.inf
-        spare = self._now - self._floor - SPARE_CHARGE - RESERVE_FACTOR * self.per_metre * way
+        needed = self._home.reserve * self.per_metre
+        spare = self._now - self._floor - CHARGE_STEP - needed * way
         if spare <= 0.0:
             return 0.0
         seconds = (self._time - self._first[1]) / NS
         drain = (self._first[0] - self._now) / seconds if seconds > 0.0 else 0.0
-        return spare / max(drain + RESERVE_FACTOR * self.per_metre * HOME_SPEED, 1e-9)
+        return spare / max(drain + needed * self._home.speed, 1e-9)
 
     def short(self, way: float) -> str:
         """Why a way home of so much [m] must begin now; empty while it need not."""
@@ -82,6 +79,6 @@ class Reserve:
     def warning(self, way: float) -> str:
         """What is told ahead; empty while there is time."""
         left = self.left(way)
-        if left > TOLD_AHEAD or self.short(way):
+        if left > self._home.told_ahead or self.short(way):
             return self.short(way)
         return f"in {left:.0f} s the battery ({100 * self._now:.0f} %) will be needed for the way home of {way:.0f} m"

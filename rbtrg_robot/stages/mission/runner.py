@@ -169,7 +169,8 @@ class Runner:
             step.see(world.dock)
         way = step.way_home(world.way.length)
         low = "" if mission.order.no_return else world.reserve.short(way)
-        verdict = step.verdict(world.now, world.goal, world.robot, way, low)
+        back = world.reserve.seconds(way)
+        verdict = step.verdict(world.now, world.goal, world.robot, back, low)
         if verdict.outcome is not Outcome.RUNNING:
             return [], verdict
         if step.wants_goal:

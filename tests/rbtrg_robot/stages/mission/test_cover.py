@@ -72,11 +72,11 @@ class World:
         self.cover = Coverage(self.step, self.now, (0.0, 0.0, 0.0), home=True, memory=memory)
         self.driven: list[Place] = []
 
-    def run(self, places: int = 100, way: float = 0.0) -> Verdict:
+    def run(self, places: int = 100, back: float = 0.0) -> Verdict:
         goal = None
         while True:
             self.now += 10 * NS
-            verdict = self.cover.verdict(self.now, goal, None, way)
+            verdict = self.cover.verdict(self.now, goal, None, back)
             if verdict.outcome is not Outcome.RUNNING or len(self.driven) >= places:
                 return verdict
             assert self.cover.wants_goal
@@ -104,7 +104,7 @@ def test_a_place_that_cannot_be_come_to_is_left_out_and_tried_once_more() -> Non
 
 def test_it_ends_in_time_to_be_home_and_goes_on_where_it_was() -> None:
     world = World(duration=100.0)
-    end = world.run(way=21.0)  # 70 s
+    end = world.run(back=70.0)
     assert end.detail.startswith("the 1.66667 minutes are over: 3 of 4 places")
     assert "left 1.0 3.0 (not driven to yet)" in end.detail
     begun = World()

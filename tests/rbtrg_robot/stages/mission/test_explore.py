@@ -61,7 +61,9 @@ class World:
                     if place not in self.stays:
                         self.places.remove(place)
             way = self.explore.way_home(self.trail)
-            verdict = self.explore.verdict(self.now, self.goal, None, way, self.reserve.short(way))
+            verdict = self.explore.verdict(
+                self.now, self.goal, None, self.reserve.seconds(way), self.reserve.short(way)
+            )
             if verdict.outcome is not Outcome.RUNNING:
                 return verdict
         raise AssertionError("it did not end")

@@ -8,13 +8,18 @@ from itertools import pairwise
 import pytest
 
 from hal.types import NS
-from rbtrg_robot.stages.mission.reserve import PER_METRE, RESERVE_FACTOR, SPARE_CHARGE, TOLD_AHEAD, Reserve
+from rbtrg_robot.stage_config import HomeConfig
+from rbtrg_robot.stages.mission.reserve import CHARGE_STEP, Reserve
 from rbtrg_robot.stages.mission.way_home import DETOUR_FACTOR, WayHome
 
+HOME = HomeConfig()
 
-def driven(metres: int, per_metre: float, floor: float = 0.1, percents: bool = False) -> Reserve:
+
+def driven(
+    metres: int, per_metre: float, floor: float = 0.1, percents: bool = False, home: HomeConfig = HOME
+) -> Reserve:
     """At 0.5 m/s, ten poses a second."""
-    reserve = Reserve(floor)
+    reserve = Reserve(floor, home)
     for k in range(20 * metres + 1):
         charge = 0.9 - per_metre * 0.05 * k
         reserve.take(round(charge, 2) if percents else charge, (0.05 * k, 0.0, 0.0), k * NS // 10)
@@ -25,7 +30,7 @@ def driven(metres: int, per_metre: float, floor: float = 0.1, percents: bool = F
 def test_the_way_home_is_told_by_what_driving_cost_with_a_fifth_more(percents: bool) -> None:
     reserve = driven(300, 0.002, percents=percents)  # 30 % are left, 20 % above the floor
     assert reserve.per_metre == pytest.approx(0.002, rel=0.02)
-    least = (0.2 - SPARE_CHARGE) / (RESERVE_FACTOR * reserve.per_metre)
+    least = (0.2 - CHARGE_STEP) / (1.2 * reserve.per_metre)
     assert reserve.short(least - 1.0) == ""
     assert "30 %" in reserve.short(least + 1.0)
 
@@ -34,13 +39,22 @@ def test_it_is_told_two_minutes_ahead() -> None:
     reserve = driven(250, 0.002)
     assert reserve.warning(10.0) == ""
     way = next(way for way in range(10, 90) if reserve.warning(float(way)))
-    assert reserve.left(float(way)) == pytest.approx(TOLD_AHEAD, abs=2.0)
+    assert reserve.left(float(way)) == pytest.approx(120.0, abs=2.0)
     assert not reserve.short(float(way))
     assert "will be needed for the way home" in reserve.warning(float(way))
 
 
+def test_the_operator_sets_the_reserve_and_when_it_is_told() -> None:
+    usual, careful = driven(250, 0.002), driven(250, 0.002, home=HomeConfig(reserve=3.0, told_ahead=0.0))
+    least = (0.3 - CHARGE_STEP) / 0.002
+    assert [r.short(least / 2.0) != "" for r in (usual, careful)] == [False, True]
+    way = next(way for way in range(10, 90) if careful.warning(float(way)))
+    assert careful.short(float(way)), "nothing is told ahead"
+    assert usual.seconds(3.0) == pytest.approx(10.0)
+
+
 def test_before_much_was_driven_a_cautious_figure_counts_and_an_unknown_way_says_nothing() -> None:
-    assert driven(1, 0.0).per_metre == PER_METRE
+    assert driven(1, 0.0).per_metre == HOME.per_metre
     assert driven(1, 0.0).short(1e5) != ""
     assert driven(1, 0.0).short(math.inf) == driven(1, 0.0).short(math.nan) == Reserve(0.1).short(10.0) == ""
 

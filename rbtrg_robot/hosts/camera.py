@@ -39,6 +39,9 @@ RETRY_AFTER = 5.0
 """[s] until a camera that failed is tried again."""
 TURN_PERIOD = 0.02
 """[s]"""
+REPEATS_TOLD = 2.0
+"""[s] of one picture, bit by bit, until it is told: the noise of a sensor makes each one another."""
+REPEATS = "it sends one picture again and again, so what it shows is old: it hangs, restart it"
 
 
 @dataclass(slots=True)
@@ -135,6 +138,10 @@ class Desk:
         """Somebody wants the next frame kept."""
         self._source: Any = None
         self._retry = -math.inf
+        self._drawn = config.simulated and config.camera.source == "robot"
+        """Two pictures may be alike."""
+        self._newest = b"", 0.0
+        """The picture that came last, and when it came first [s]."""
         self.trouble = ""
         """What an operator should know, in plain words."""
 
@@ -172,9 +179,13 @@ class Desk:
             self.trouble, self._retry = str(error), now + RETRY_AFTER
             self.close()
             return None
-        self.trouble = ""
-        if frame is not None:
-            self._demand.cost = time.process_time() - began
+        if frame is None:
+            return None
+        self._demand.cost = time.process_time() - began
+        if frame.jpeg == self._newest[0] and not self._drawn:
+            self.trouble = REPEATS if now - self._newest[1] > REPEATS_TOLD else ""
+            return None  # a new stamp makes no new picture
+        self._newest, self.trouble = (frame.jpeg, now), ""
         return frame
 
     def keeps(self) -> bool:

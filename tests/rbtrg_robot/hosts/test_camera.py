@@ -54,7 +54,8 @@ class Source:
     def __init__(self, seconds: float = 0.0) -> None:
         """`seconds`: CPU that a frame takes."""
         self.broken, self.seconds = True, seconds
-        self.opened = self.closed = 0
+        self.opened = self.closed = self.shown = 0
+        self.hangs = False
 
     def open(self) -> str:
         self.opened += 1
@@ -66,7 +67,8 @@ class Source:
         began = time.process_time()
         while time.process_time() - began < self.seconds:
             pass
-        return CameraFrame(now, b"\xff\xd8picture")
+        self.shown += not self.hangs
+        return CameraFrame(now, b"\xff\xd8picture %d" % self.shown)
 
     def close(self) -> None:
         self.closed += 1
@@ -93,10 +95,33 @@ def test_a_camera_that_fails_is_told_and_tried_again(monkeypatch: pytest.MonkeyP
     assert frame is not None
     assert desk.trouble == ""
     image = decode(encode(image_msg(camera, frame)), msg.CompressedImage)
-    assert (image.format, image.data.tobytes(), stamp_of(image)) == ("jpeg", b"\xff\xd8picture", 7)
+    assert (image.format, image.data.tobytes(), stamp_of(image)) == ("jpeg", b"\xff\xd8picture 1", 7)
     info = decode(encode(info_msg(camera, 3)), msg.CameraInfo)
     assert info.k.reshape(3, 3).tolist() == camera.matrix.tolist()
     assert info.header.frame_id == image.header.frame_id == "camera_front"
+
+
+@pytest.mark.parametrize("drawn", [False, True])
+def test_a_camera_that_repeats_one_picture_shows_nothing_new_and_is_told(
+    monkeypatch: pytest.MonkeyPatch, drawn: bool
+) -> None:
+    source = Source()
+    source.broken = False
+    monkeypatch.setattr(module, "source_of", lambda *_: source)
+    config = load(None, [] if drawn else ["camera.source=v4l2:/dev/video0"], scene="flat", record=False)
+    camera = config.camera.mounted()
+    assert camera is not None
+    desk = Desk(config, camera)
+    came: list[bool] = []
+    told: list[str] = []
+    for k in range(40):  # 10 s; it hangs from the third second to the seventh
+        source.hangs = 12 <= k < 28
+        desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 0.25 * k)
+        came.append(desk.frame(0.25 * k, k) is not None)
+        told.append(desk.trouble)
+    assert [k for k in range(40) if not came[k]] == ([] if drawn else list(range(12, 28)))
+    assert [k for k in range(40) if told[k]] == ([] if drawn else list(range(20, 28)))
+    assert drawn or told[25].startswith("it sends one picture again and again")
 
 
 @pytest.mark.parametrize(("seconds", "always"), [(0.0, True), (0.06, False)])

@@ -11,6 +11,8 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 
 CHARGE_STEP = 0.01
 """State of charge [0..1] in which robots tell it. One is kept beside; two must be spent to say what a metre takes."""
+STUCK_CHARGE = 0.1
+"""State of charge [0..1] that driving must have taken while none was told: then the battery's word is not believed."""
 LEAST_MOVE = 0.005
 """[m] between two poses of a robot that drives."""
 
@@ -30,15 +32,19 @@ class Reserve:
         """Driven, and what that took."""
         self._moved = self._poses = 0
         """Since the state of charge fell last."""
+        self._same_metres = 0.0
+        """Driven while the same state of charge was told."""
 
     def take(self, battery: float, pose: Pose2, now: int) -> None:
         """State of charge [0..1] and pose in `map` at `now` [ns]."""
         if self._first is None or battery > self._now or now < self._time:  # charged; a clock that was reset
             self._first, self._told = (battery, now), battery
+        self._same_metres *= battery == self._now
         self._now, self._time = battery, now
         step = 0.0 if self._pose is None else math.dist(pose[:2], self._pose[:2])
         drives = LEAST_MOVE <= step < SET_JUMP
         self._metres += step if drives else 0.0
+        self._same_metres += step if drives else 0.0
         self._pose = pose
         self._poses += 1
         self._moved += drives
@@ -79,6 +85,11 @@ class Reserve:
     def warning(self, way: float) -> str:
         """What is told ahead; empty while there is time."""
         left = self.left(way)
+        if self._same_metres * self.per_metre > STUCK_CHARGE:
+            return (
+                f"the battery has told {100 * self._now:.0f} % for {self._same_metres:.0f} m of driving: it may be "
+                "stuck, and the robot would not come home for it"
+            )
         if left > self._home.told_ahead or self.short(way):
             return self.short(way)
         return f"in {left:.0f} s the battery ({100 * self._now:.0f} %) will be needed for the way home of {way:.0f} m"

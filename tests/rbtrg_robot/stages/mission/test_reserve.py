@@ -59,6 +59,16 @@ def test_before_much_was_driven_a_cautious_figure_counts_and_an_unknown_way_says
     assert driven(1, 0.0).short(math.inf) == driven(1, 0.0).short(math.nan) == Reserve(0.1).short(10.0) == ""
 
 
+def test_a_battery_that_tells_one_charge_all_the_way_is_told() -> None:
+    assert driven(300, 0.0005, percents=True).warning(10.0) == ""
+    assert driven(150, 0.0).warning(10.0) == ""
+    reserve = driven(250, 0.0)
+    assert reserve.warning(10.0).startswith("the battery has told 90 % for 250 m of driving: it may be stuck")
+    assert reserve.short(10.0) == ""
+    reserve.take(0.89, (12.6, 0.0, 0.0), 600 * NS)
+    assert reserve.warning(10.0) == ""
+
+
 def test_what_standing_took_is_no_cost_of_driving_and_a_pose_that_was_set_is_no_drive() -> None:
     reserve = Reserve(0.1)
     for k in range(1000):

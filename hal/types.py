@@ -38,6 +38,8 @@ POINT_DTYPE = np.dtype(
 """One LiDAR return: x, y, z [m] in the LiDAR's own frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`.
 """
 
+NO_POINTS = np.empty((0, 3), np.float32)
+"""x, y, z [m], of none."""
 POINT_QUANTUM = 2.0**-8
 """x, y, z are multiples of this [m]: an error of 1.1 mm (1 sigma) beside a sensor noise of 10 to 20 mm. Noise does not
 compress: finer values would only make logs larger."""

@@ -15,35 +15,28 @@ from numpy.typing import NDArray
 
 from planning.graph.closing import closed, covered
 
-HIGH = 1
-"""The cell is the upper side of a step above the limit."""
-LOW = 4
-"""The cell is the lower side of one. Only what covers both sides is on the step: a robot may stand right beside it."""
+HIGH, UNSEEN, LOW, UNSEEN_RAW, ASSUMED, HOLE, TIP, JUDGED, VIRTUAL, POSTS, FIELD, PLANTS = (
+    1 << bit for bit in range(12)
+)
 FACE = HIGH | LOW
-UNSEEN = 2
-"""Part of an unseen patch wider than the gap limit; narrower slits count as seen, and so does assumed ground."""
-UNSEEN_RAW = 8
-"""The same, assumed or not."""
-ASSUMED = 16
-"""Ground around the start that counts as seen anyway (`planning.graph.blind`)."""
-HOLE = 32
-"""Below what it is bridged at by more than the step limit: driven across, not along (`planning.graph.edges`)."""
-TIP = 64
-"""Bridged, but the tip of a wide pit's corner, or a hole that the map tells to be too wide (`ElevationGrid.holes`):
-nothing of the robot goes over it."""
-JUDGED = 128
-"""The cell was trusted when it was looked at last: what it was found to be counts (`keep_step`)."""
-VIRTUAL = 256
-"""Part of an unseen patch wider than the gap limit over which rays passed low (`ElevationGrid.virtual`): planned over
-at a price, driven on only when it was seen."""
-POSTS = 512
-"""Part of a stepfield whose posts are too high (`planning.graph.fields`)."""
-FIELD = 1024
-"""Part of a stepfield with posts of more than a third of what is driven through: planned over at a price
-(`planning.graph.edges`)."""
+"""What is known of a cell, a bit each.
 
-PLANTS = 2048
-"""Ground under leaves (`ElevationGrid.plants`): driven on slowly, at a price (`planning.graph.edges`)."""
+- `HIGH`, `LOW`: the upper and the lower side of a step above the limit. Only what covers both sides is on the step: a
+  robot may stand right beside it.
+- `UNSEEN`: part of an unseen patch wider than the gap limit; narrower slits count as seen, and so does assumed ground.
+  `UNSEEN_RAW`: the same, assumed or not.
+- `ASSUMED`: ground around the start that counts as seen anyway (`planning.graph.blind`).
+- `HOLE`: below what it is bridged at by more than the step limit: driven across, not along (`planning.graph.edges`).
+- `TIP`: bridged, but the tip of a wide pit's corner, or a hole that the map tells to be too wide
+  (`ElevationGrid.holes`): nothing of the robot goes over it.
+- `JUDGED`: trusted when it was looked at last: what it was found to be counts (`keep_step`).
+- `VIRTUAL`: part of an unseen patch wider than the gap limit over which rays passed low (`ElevationGrid.virtual`):
+  planned over at a price, driven on only when it was seen.
+- `POSTS`: part of a stepfield whose posts are too high (`planning.graph.fields`).
+- `FIELD`: part of a stepfield with posts of more than a third of what is driven through: planned over at a price
+  (`planning.graph.edges`).
+- `PLANTS`: ground under leaves (`ElevationGrid.plants`): driven on slowly, at a price (`planning.graph.edges`).
+"""
 
 STEP_BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""

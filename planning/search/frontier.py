@@ -22,10 +22,8 @@ from planning.search.request import PlanRequest
 
 LOOKED_FROM = 0.30
 """[m] Around a place where the robot was, or that it gave up, no frontier is left. On a ramp the last 0.4 m to the
-crest show what lies behind it."""
-SHOWED_NOTHING = 1.0
-"""[m] The same around a frontier that showed nothing when the robot came to it: the rim of a pit is as dark from the
-next place on it."""
+crest show what lies behind it. Around a frontier that showed nothing when the robot came to it none is left within
+`SAME_FRONTIER`: the rim of a pit is as dark from the next place on it."""
 SHOWN_SHARE = 0.2
 """Of the ground around a frontier that nobody had seen when it was chosen: less is nothing."""
 SAME_FRONTIER = 1.0
@@ -75,7 +73,7 @@ class Tried:
             return
         here = self._attempt(self.chosen)
         if here is not None and _dark(grid, here.place) > (1.0 - SHOWN_SHARE) * here.dark:
-            self.places.append((*self.chosen, SHOWED_NOTHING))
+            self.places.append((*self.chosen, SAME_FRONTIER))
             self._attempts.remove(here)
 
     def found(

@@ -24,12 +24,11 @@ from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
 
-_SEARCH_WINDOW = 0.6
-"""How far ahead of the progress the nearest point is looked for [m]: beyond it a crossing path could capture us."""
 _SLIDE_BACK = 0.4
 """How far behind the progress [m] the robot may be after sliding back and still steer by the place where it is."""
 _START_WINDOW = 1.5
-"""The same for a new path: the robot drove on while it was planned."""
+"""How far ahead on a new path the nearest point is looked for [m]: the robot drove on while it was planned. Later it is
+as far as the robot may be off: beyond a crossing path could capture it."""
 _SETTLE_TIME = 1.5
 """Longest wait for standstill at the goal [s]."""
 _TURN_TIME = 15.0
@@ -159,7 +158,7 @@ class PathTracker:
         line = self._correcting or path
         sign = -1.0 if self._reverse else 1.0
         course = yaw if not self._reverse else yaw + math.pi  # direction in which the base travels
-        ahead = self._s + (_SEARCH_WINDOW if self._started else _START_WINDOW)
+        ahead = self._s + (p.max_cross_track if self._started else _START_WINDOW)
         # A base that drifts while it turns at a corner would come back before it there, and turn back.
         back = 0.0 if self._phase is TrackPhase.ALIGNING else _SLIDE_BACK
         s = line.project(x, y, max(self._s - back, 0.0), min(ahead, line.length))
@@ -192,7 +191,7 @@ class PathTracker:
         course_p = course + wz * p.lag
         mid = course + 0.5 * wz * p.lag
         x_p, y_p = x + travel * math.cos(mid), y + travel * math.sin(mid)
-        s_p = line.project(x_p, y_p, s, min(s + _SEARCH_WINDOW, line.length))
+        s_p = line.project(x_p, y_p, s, min(s + p.max_cross_track, line.length))
         cross_p = line.cross(s_p, x_p, y_p)
         along_p = left - travel * math.cos(error)
         if along_p <= 0.005 and self._rest:

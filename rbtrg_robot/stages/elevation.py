@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hal.limbs import Limbs, stand_height
 from hal.robots import describe
 from hal.safety.geofence import GeofenceError
-from hal.types import JointSample, MountedLidar
+from hal.types import NO_POINTS, JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.export import Limits, traversal_cost
 from mapping.elevation.files import checked_cloud
@@ -37,7 +37,7 @@ from rbtrg_robot.stages.handover import Handover, possible
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.navigation.reasons import LOCATED
-from rbtrg_robot.stages.prior import NO_POINTS, Prior
+from rbtrg_robot.stages.prior import Prior
 from rbtrg_robot.stages.scans import Scan, Scans, rehearsal
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic

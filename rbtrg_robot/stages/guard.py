@@ -43,7 +43,7 @@ from hal.safety.swept import (
     turn_tracks,
 )
 from hal.safety.touch import near_body, uneven
-from hal.types import NS, Array, Capabilities, MountedLidar
+from hal.types import NO_POINTS, NS, Array, Capabilities, MountedLidar
 from mapping.filling import fill_unknown
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -74,7 +74,6 @@ MOST_LEAN = math.radians(25.0)
 LEAF_SPEEDS = (0.2, 0.5)
 """[m/s] and [rad/s] of a turn, 0.2 m/s at a corner of the body, over ground under leaves: what stands in them is felt,
 not seen."""
-NO_POINTS = np.zeros((0, 3), np.float32)
 STANDING_HEIGHT = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
 WORDS = {

@@ -11,7 +11,7 @@ from hal.camera import MountedCamera
 from hal.robots import urdf
 from hal.rotation import quaternion as from_matrix
 from hal.rotation import wrap
-from hal.types import NS, Extrinsics, MountedLidar
+from hal.types import NO_POINTS, NS, Extrinsics, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.poses import checked_pose
 from mapping.grid import FARTHEST_PLACE
@@ -57,7 +57,6 @@ STANDS_FOR = 2 * NS
 """A robot that stands so long [ns] is moved in `map` at once: its driver holds no path that it would lose."""
 LONGEST_GLIDE = 0.5
 """Between two scans no more is glided than in this time [s]."""
-NOTHING = np.empty((0, 3), np.float32)
 
 
 class OdometryStage:
@@ -283,7 +282,7 @@ class OdometryStage:
             outputs.append((t.TF, msg.TFMessage(transforms=[transform])))
         if scan.health != "lost":  # a scan that fits nowhere must not reach the map
             for name in self._sweeps.values():  # an empty one says that nothing came
-                cloud = scan.clouds.get(name, NOTHING)
+                cloud = scan.clouds.get(name, NO_POINTS)
                 outputs.append((t.CLOUDS[name], cloud_msg(scan.stamp, BASE, cloud)))
         return outputs
 

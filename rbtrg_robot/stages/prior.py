@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.types import NO_POINTS
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.map import ElevationMap
 from mapping.relocalise.door import OwnFinder
 from rbtrg_robot.stages.location import Location
 from rbtrg_robot.wire.frames import Planar
-
-NO_POINTS = np.empty((0, 3), np.float32)
 
 
 @dataclass(slots=True)

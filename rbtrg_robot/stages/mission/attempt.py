@@ -19,13 +19,13 @@ from rbtrg_robot.wire.messages import header, stamp_of
 
 LONGEST_SILENCE = 10.0
 """[s] without a word of the navigator about the goal."""
-POSTURE_LIMIT = 30.0
-"""[s] for getting up or lying down."""
+LONGEST_WAIT = 30.0
+"""[s] for getting up or lying down, for a photo, for somebody to tell where the dock is."""
 POSTURE_REPEAT = NS // 5
 SETTLE_TIME = NS
 """After this long [ns] the robot's state is an answer to the order and not of before."""
-PHOTO_LIMIT, PHOTO_REPEAT = 30.0, 2 * NS
-"""[s] for a photo, and [ns] from one request to the next: a camera that nobody looked at loads with the first."""
+PHOTO_REPEAT = 2 * NS
+"""[ns] from one request to the next: a camera that nobody looked at loads with the first."""
 POSTURES = {Kind.STAND: UP, Kind.SIT: (RobotPhase.SITTING,)}
 """Phases of the robot in which the step is done."""
 OF_THE_STEP = frozenset(
@@ -104,8 +104,8 @@ class Attempt:
         if self._kind in POSTURES:
             return self._of_posture(age, robot)
         if self._kind is Kind.PHOTO and self.photo <= self._began:
-            late = f"no photo within {PHOTO_LIMIT:.0f} s: the camera gives no picture"
-            return Verdict(Outcome.FAILED, late) if age > PHOTO_LIMIT else RUNNING
+            late = f"no photo within {LONGEST_WAIT:.0f} s: the camera gives no picture"
+            return Verdict(Outcome.FAILED, late) if age > LONGEST_WAIT else RUNNING
         return DONE if age >= self._step.duration else RUNNING
 
     def _of_goal(self, now: int, goal: msg.GoalStatus | None) -> Verdict:
@@ -137,9 +137,9 @@ class Attempt:
                 return DONE
             if f"{self._kind} refused" in robot.cause:
                 return Verdict(Outcome.FAILED, robot.cause)
-        if age > POSTURE_LIMIT:
+        if age > LONGEST_WAIT:
             stands = f"the robot is {robot.phase}" if robot else "the robot is silent"
-            return Verdict(Outcome.FAILED, f"no `{self._kind}` within {POSTURE_LIMIT:.0f} s: {stands}")
+            return Verdict(Outcome.FAILED, f"no `{self._kind}` within {LONGEST_WAIT:.0f} s: {stands}")
         return RUNNING
 
 

@@ -10,15 +10,13 @@ import math
 
 from hal.types import NS
 from rbtrg_robot import msg
-from rbtrg_robot.stages.mission.attempt import RUNNING, GoalStep, Outcome, Verdict
+from rbtrg_robot.stages.mission.attempt import LONGEST_WAIT, RUNNING, GoalStep, Outcome, Verdict
 from rbtrg_robot.stages.navigation.progress import Pose2
 
 DOCK_AHEAD = 0.8
 """[m] before the dock the robot stops, looks along it, and waits for a fresh pose: more than a body length."""
 FRESH_POSE = NS
 """[ns] A pose older than this tells nothing."""
-TOLD_WITHIN = 30.0
-"""[s] for somebody to tell where the dock is."""
 SEEN_WITHIN = 5.0
 """[s] before the dock for a fresh pose of it."""
 FARTHEST_OFF = 1.0
@@ -96,7 +94,7 @@ class Docking(GoalStep):
             return Verdict(
                 Outcome.FAILED, "the dock is not seen from before it: `/dock/pose` is silent or old"
             )
-        if self.target is None and waited > TOLD_WITHIN:
+        if self.target is None and waited > LONGEST_WAIT:
             return Verdict(
                 Outcome.FAILED,
                 "nobody tells where the dock is: publish `/dock/pose`, or give x, y and yaw_deg",

@@ -25,7 +25,7 @@ from rbtrg_robot.stages.mission.order import (
 )
 from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.stages.mission.runner import Runner, World
-from rbtrg_robot.stages.navigation.goal import Goal, GoalState
+from rbtrg_robot.stages.navigation.goal import KNOWN_IDS, Goal, GoalState
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import absence, hindrance, unlocated
 from rbtrg_robot.stages.stage import Outputs
@@ -34,8 +34,6 @@ from rbtrg_robot.wire.convert import MAP, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header, stamp_of
 
-KNOWN_REQUESTS = 1000
-"""Requests whose ids are remembered: a late repeat must not do anything."""
 HOME_RADIUS = 1.0
 """[m] A robot so near to home is at home."""
 TELL_PERIOD = NS
@@ -86,7 +84,7 @@ class MissionStage:
         self._map: msg.MapStatus | None = None
         self._left: msg.MissionOrder | None = None
         """Order of a process that is gone; its state follows."""
-        self._known: deque[str] = deque(maxlen=KNOWN_REQUESTS)
+        self._known: deque[str] = deque(maxlen=KNOWN_IDS)
         self._sent, self._taken_over = "", False
         """The newest goal of somebody, and whether a mission took its place or brought the robot home since."""
         self._warned = False

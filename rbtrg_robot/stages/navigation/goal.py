@@ -53,6 +53,8 @@ ACTIVE = (
 )
 
 
+KNOWN_IDS = 1000
+"""Goals, and requests, whose ids are remembered: a late repeat of an old one must not set the robot going."""
 CHANCE_CHANGED = 0.05
 """A chance that differs by less is much the same."""
 UNSEEN_TOLD = 0.2

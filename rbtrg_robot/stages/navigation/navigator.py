@@ -13,7 +13,7 @@ from rbtrg_robot.areas import fence_of
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.behaviours import Action, Behaviours, Trigger
-from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, over_unseen, status_of
+from rbtrg_robot.stages.navigation.goal import KNOWN_IDS, Goal, GoalArea, GoalState, over_unseen, status_of
 from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
@@ -36,8 +36,6 @@ from rbtrg_robot.wire.frames import MapFrame
 REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.KEPT_OUT, Reason.IN_OBSTACLE, Reason.TOO_RISKY)
 """Reasons that refuse a goal that never had a route; later they abort it."""
 PLANNER_SILENT = "the planner is silent"
-KNOWN_GOALS = 1000
-"""Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
 LOOKING = "looking at the ground ahead"
 CREEPING = "creeping over ground nobody saw"
 MOVE_ON = 0.15
@@ -94,7 +92,7 @@ class NavigatorStage:
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
-        self._known: deque[str] = deque(maxlen=KNOWN_GOALS)
+        self._known: deque[str] = deque(maxlen=KNOWN_IDS)
         self._pose: Pose2 | None = None
         self._inputs = Inputs()
         self._query = PlanQuery(params.replan_period)

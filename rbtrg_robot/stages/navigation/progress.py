@@ -19,15 +19,14 @@ Pose2 = tuple[float, float, float]
 
 TURNING = ("aligning", "final_turn")
 """Phases of the tracker in which it turns on the spot."""
-STUCK_SECONDS = 5.0
-STUCK_DISTANCE = 0.15
-"""[m]: less than this in STUCK_SECONDS is no progress, unless it turned."""
-STUCK_ANGLE = 0.5
-"""[rad]."""
+NO_PROGRESS = 5.0, 0.15, 0.5
+"""In so many seconds less than so many [m] and [rad]: a robot that is told to drive is stuck."""
 AT_REST = 1.0, 0.02, 0.03
 """In so many seconds less than so many [m] and [rad]: the robot is at rest."""
-BUDGET_SECONDS, BUDGET_SPEED, NEW_PLACE = 25.0, 0.3, 1.0
-"""[s] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] from all places before it a place is new:
+SLOW_SPEED = 0.3
+"""[m/s] at which ways are driven at least."""
+BUDGET_SECONDS, NEW_PLACE = 25.0, 1.0
+"""[s] of a `Budget`; [m] from all places before it a place is new:
 a robot that shuttles before what it cannot cross, from one frontier to the other, stays within a body length or two of
 where it was."""
 BESIDE_PATH = 0.15
@@ -39,14 +38,10 @@ TRAIL_SPACING = 0.05
 TRAIL_LENGTH = 100
 TRAIL_ANGLE = 0.1
 """A turn on the spot is part of the trail, too [rad]."""
-COVERED_BESIDE = 0.05
-"""[m] beside the body's rectangle the ground still counts as covered by it."""
-
-
-UNDER_BODY = 0.04
-"""[m] around the corners of the body is what lies under it or its wheels."""
 EDGE_RISE = 0.03
 """[m] that the ground rises over three samples of a path (6 cm): no ramp that may be driven is as steep."""
+BODY_MARGIN = 0.05
+"""[m] beside the body the ground still counts as covered by it."""
 
 
 OVER_EDGE = 3.0
@@ -63,7 +58,7 @@ class RouteWatch:
 
     def __init__(self, radius: float) -> None:
         """`radius`: from base_link to a corner of the body [m]."""
-        self._under = radius + UNDER_BODY
+        self._under = radius + BODY_MARGIN
         self._why = ""
         self._since = 0
 
@@ -107,7 +102,10 @@ class ProgressMonitor:
     """No progress for 5 s while it should drive = stuck; with other numbers: the robot is at rest."""
 
     def __init__(
-        self, seconds: float = STUCK_SECONDS, distance: float = STUCK_DISTANCE, angle: float = STUCK_ANGLE
+        self,
+        seconds: float = NO_PROGRESS[0],
+        distance: float = NO_PROGRESS[1],
+        angle: float = NO_PROGRESS[2],
     ) -> None:
         """In `seconds` [s] less than `distance` [m] and `angle` [rad]."""
         self._most = seconds, distance, angle
@@ -161,7 +159,7 @@ class Budget:
         if all(math.dist(pose[:2], place[:2]) > NEW_PLACE for place in self._been):
             self._been.append(pose)
             self._seconds = self._way = 0.0
-        late = GOAL_SPENT.outside(self._seconds, high=BUDGET_SECONDS + self._way / BUDGET_SPEED)
+        late = GOAL_SPENT.outside(self._seconds, high=BUDGET_SECONDS + self._way / SLOW_SPEED)
         return GOAL_SPENT.tell(seconds=self._seconds) if late else ""
 
 
@@ -222,5 +220,5 @@ class Trail:
         dx, dy = (points[:, None, k] - trail[:, k] for k in (0, 1))
         c, s = np.cos(trail[:, 2]), np.sin(trail[:, 2])
         along, across = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
-        inside = (along < self._half + COVERED_BESIDE) & (across < self._side + COVERED_BESIDE)
+        inside = (along < self._half + BODY_MARGIN) & (across < self._side + BODY_MARGIN)
         return bool(inside.any(axis=1).all())

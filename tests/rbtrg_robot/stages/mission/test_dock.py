@@ -11,7 +11,8 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.missions.file import MissionFile, describe
-from rbtrg_robot.stages.mission.dock import DOCK_AHEAD, FARTHEST_OFF, SEEN_WITHIN, TOLD_WITHIN
+from rbtrg_robot.stages.mission.attempt import LONGEST_WAIT
+from rbtrg_robot.stages.mission.dock import DOCK_AHEAD, FARTHEST_OFF, SEEN_WITHIN
 from rbtrg_robot.wire.convert import rpy_quaternion
 from rbtrg_robot.wire.messages import header
 from tests.rbtrg_robot.stages.mission.test_executor import World, order, step
@@ -108,7 +109,7 @@ def test_a_dock_in_the_frame_of_the_body_lies_where_the_robot_looks() -> None:
 def test_nobody_tells_where_the_dock_is() -> None:
     world = Docks()
     world.ask("run", order=order(step("dock")))
-    world.run(TOLD_WITHIN + 2.0)
+    world.run(LONGEST_WAIT + 2.0)
     assert world.sent_to == []
     assert world.state.phase == "failed"
     assert "/dock/pose" in world.state.reason

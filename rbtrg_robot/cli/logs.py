@@ -149,7 +149,10 @@ def _rerun(
     from rbtrg_robot.hosts.offline import rerun as run_again
     from rbtrg_robot.log.summary import overview
 
-    total = min(max(overview(file).seconds - start_offset, 0.0), duration)
+    held = overview(file).seconds
+    if start_offset >= held > 0.0:
+        raise ConfigError(f"--start-offset {start_offset:g} is behind the end: {file} is {held:.1f} s long")
+    total = min(held - start_offset, duration)
     began = time.monotonic()
     done = 0.0
     with _bar() as bar:
@@ -175,7 +178,12 @@ def _rerun(
     say(f"{done:.1f} s of log in {wall:.1f} s ({done / wall:.1f} x real time) -> {out}")
     for name, topic in (("odometry", t.ODOM), ("elevation", t.MAP_WINDOW)):
         if name in names and not counts.get(topic.name):
-            raise ConfigError(f"nothing came out: {name} published no {topic.name} in {done:.1f} s of log")
+            later = "; it begins anew there, at rest: try an offset at which the robot stands" * bool(
+                start_offset
+            )
+            raise ConfigError(
+                f"nothing came out: {name} published no {topic.name} in {done:.1f} s of log{later}"
+            )
 
 
 @log_app.command("info")
@@ -362,10 +370,12 @@ def log_trajectory(
         return
     say(f"{found.pairs} poses in common, {found.length:.2f} m")
     say(f"ATE {found.ate:.6f} m (aligned)")
-    say(f"RPE over {distance:g} m: {found.rpe_distance:.6f} m, {found.rpe_distance_deg:.6f} deg")
-    say(
-        f"RPE over {seconds:g} s ({found.frames} poses): {found.rpe_time:.6f} m, {found.rpe_time_deg:.6f} deg"
-    )
+    for over, metres, degrees in (
+        (f"{distance:g} m", found.rpe_distance, found.rpe_distance_deg),
+        (f"{seconds:g} s ({found.frames} poses)", found.rpe_time, found.rpe_time_deg),
+    ):
+        short = math.isnan(metres)
+        say(f"RPE over {over}: {'the run is shorter' if short else f'{metres:.6f} m, {degrees:.6f} deg'}")
 
 
 def draw(log: Path, out: Path, speed: float = 1.0, distance: float = 2.8) -> None:

@@ -245,10 +245,13 @@ def _feed(
                 continue
             if first is None and now:
                 first = now
+            moved = now != host.now
+            if not simulated:
+                host.now = now  # what follows is dated by it
             host.inject_bytes(topic, entry.data)
         except MessageError:  # a process refuses it, too
             continue
-        if now != host.now:
+        if moved:
             host.tick(now)
             progress((now - (first or now)) / 1e9)
     host.close()

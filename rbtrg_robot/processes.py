@@ -50,7 +50,7 @@ PROCESSES: tuple[Process, ...] = (
     Process("mission",   "rbtrg_robot.stages.mission.executor:build",      0.1,     3.0,      1.6, False,        "the robot ends the present goal and stands",                                   (t.MAP_STATUS, t.MISSION_ORDER, t.MISSION_STATE)),
     Process("tracker",   "rbtrg_robot.stages.tracker:build",              0.02,    3.0,      1.6, True,         "no commands: robot stops at once",                                             ()),
     Process("guard",     "rbtrg_robot.stages.guard:build",                0.05,    3.0,      1.6, True,         "nobody watches the body's way: robot stops at once",                           ()),
-    Process("loops",     "rbtrg_robot.stages.loops:build",                0.1,    60.0,      1.6, False,        "none; no more loops of this run are closed but by `map close`",                (), 19),
+    Process("loops",     "rbtrg_robot.stages.loops:build",                0.1,    60.0,      1.6, False,        "none; loops wait until it is back",                                             (t.MAP_STATUS,), 19),
     Process("camera",    "rbtrg_robot.hosts.camera:main",                 0.1,    60.0,      1.6, False,        "none; nobody sees a picture",                                                  ()),
     Process("recorder",  "rbtrg_robot.log.recorder:main",                 1.0,     3.0,      1.6, False,        "none; up to 1 s of log is lost",                                               ()),
     Process("console",   "rbtrg_robot.console.server:main",               0.05,    5.0,      1.6, False,        "none; pages see nothing until it is back, and hands let go",                   ()),

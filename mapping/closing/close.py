@@ -155,11 +155,13 @@ class Closing:
             self._refuse(match, "alone: no other loop near it says the same")
         return self._closed()
 
-    def follow(self) -> Iterator[Closed | None]:
+    def follow(self, known: int = 0) -> Iterator[Closed | None]:
         """Loops of one run that goes on, while its scans are recorded: without end, a piece of work of some tenths of a
         second at a time. What is known each time that loops were closed. A keyframe is searched once, when its
-        surroundings were seen."""
+        surroundings were seen. The first `known` scans were searched before: of those nothing is
+        told, and a piece is a keyframe."""
         number = 0
+        searched = self._recording.scans[known - 1].along - MAP_REACH if known else -1.0
         while True:
             self._extend()
             if (
@@ -168,11 +170,13 @@ class Closing:
             ):
                 yield None
                 continue
-            before = list(self.matches)
+            before, new = list(self.matches), self.keyframes[number].along > searched
             for _ in self._take(number):
-                yield None
+                if new:
+                    yield None
             number += 1
-            if self.matches != before:
+            yield None
+            if new and self.matches != before:
                 for each in range(len(self.keyframes)):
                     if self._measure(each):
                         yield None

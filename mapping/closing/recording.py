@@ -1,12 +1,17 @@
 """What a run's LiDARs saw, on disk: millimetres as int16, one scan every few centimetres. A kilometre takes about two
-gigabytes while a map is built."""
+gigabytes while a map is built.
+
+Each scan is the length of its head in four bytes, the head as JSON, and its points: a file that its process left behind
+is read again up to the last whole scan.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import IO
 
@@ -22,6 +27,9 @@ from mapping.thin_cloud import POINT_REACH
 SCAN_SPACING = (0.1, math.radians(5.0), 2 * NS)
 """A scan is kept when the robot moved [m] or turned [rad] so far since the last one, or so long after it [ns]."""
 MILLIMETRE = 1000.0
+LENGTH_BYTES = 4
+"""Of the length of a head."""
+POINT_BYTES = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,17 +48,45 @@ class Scan:
     along: float
     """Driven since the start of its run [m]."""
     clouds: tuple[tuple[Sensor, int, int], ...]
-    """Of each LiDAR, where its points begin in the file [points], and how many they are."""
+    """Of each LiDAR, where its points begin in the file, and how many they are."""
 
 
 class Recording:
     """Scans of one or more runs, in order. Close it: the file goes then."""
 
-    def __init__(self, folder: Path | None = None) -> None:
-        """`folder`: where the file lies, which has no name there; None: where temporary files do. Raises OSError."""
+    def __init__(self, folder: Path | None = None, path: Path | None = None) -> None:
+        """`folder`: where the file lies, which has no name there; None: where temporary files do. `path`: of a file
+        that outlives its process; what it holds is there again. Raises OSError."""
         self.scans: list[Scan] = []
-        self._file: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - lives as long as this object
-        self._end = 0
+        self._path, self._end = path, 0
+        self._file: IO[bytes]
+        if path is None:
+            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - lives as long as this object
+        else:
+            self._file = path.open("r+b" if path.is_file() else "w+b")
+            self._read()
+
+    def _read(self) -> None:
+        """The scans that are there."""
+        size = self._file.seek(0, 2)
+        while True:
+            self._file.seek(self._end)
+            length = int.from_bytes(self._file.read(LENGTH_BYTES), "little")
+            begin = self._end + LENGTH_BYTES + length
+            if not length or begin > size:
+                break
+            run, stamp, pose, below, contacts, along, heads = json.loads(self._file.read(length))
+            clouds = []
+            for (origin, range_sigma, beam_sigma, region, levels), count in heads:
+                sensor = Sensor(tuple(origin), range_sigma, beam_sigma, tuple(region), levels)
+                clouds.append((sensor, begin, count))
+                begin += POINT_BYTES * count
+            if begin > size:
+                break
+            wheels = np.array(contacts).reshape(-1, 3)
+            self.scans.append(Scan(run, stamp, np.array(pose), below, wheels, along, tuple(clouds)))
+            self._end = begin
+        self._file.truncate(self._end)
 
     def add(
         self,
@@ -73,13 +109,19 @@ class Recording:
             if moved < SCAN_SPACING[0] and turned < SCAN_SPACING[1] and stamp - last.stamp < SCAN_SPACING[2]:
                 return False
             along = last.along + moved
-        kept = []
-        self._file.seek(6 * self._end)
-        for sensor, points in clouds:
-            near = points[np.square(points).sum(axis=1) < POINT_REACH**2]  # without what is no number
-            self._file.write(np.rint(near * MILLIMETRE).astype("<i2").tobytes())
-            kept.append((sensor, self._end, len(near)))
-            self._end += len(near)
+        # without what is no number
+        near = [(sensor, cloud[np.square(cloud).sum(axis=1) < POINT_REACH**2]) for sensor, cloud in clouds]
+        heads = [(astuple(sensor), len(cloud)) for sensor, cloud in near]
+        head = json.dumps([run, stamp, pose.tolist(), below, contacts.tolist(), along, heads]).encode()
+        self._file.seek(self._end)
+        self._file.write(len(head).to_bytes(LENGTH_BYTES, "little") + head)
+        kept, end = [], self._end + LENGTH_BYTES + len(head)
+        for sensor, cloud in near:
+            self._file.write(np.rint(cloud * MILLIMETRE).astype("<i2").tobytes())
+            kept.append((sensor, end, len(cloud)))
+            end += POINT_BYTES * len(cloud)
+        self._file.flush()  # the process may die
+        self._end = end
         self.scans.append(Scan(run, stamp, np.array(pose), below, np.array(contacts), along, tuple(kept)))
         return True
 
@@ -87,16 +129,18 @@ class Recording:
         """The clouds (n, 3) [m] of a scan in base_link, to the millimetre."""
         out = []
         for sensor, begin, count in scan.clouds:
-            self._file.seek(6 * begin)
-            raw = np.frombuffer(self._file.read(6 * count), "<i2").reshape(-1, 3)
+            self._file.seek(begin)
+            raw = np.frombuffer(self._file.read(POINT_BYTES * count), "<i2").reshape(-1, 3)
             out.append((sensor, (raw / np.float32(MILLIMETRE)).astype(np.float32)))
         return out
 
     @property
     def nbytes(self) -> int:
         """On disk."""
-        return 6 * self._end
+        return self._end
 
     def close(self) -> None:
         """Delete the file."""
         self._file.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)

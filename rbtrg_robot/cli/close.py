@@ -20,7 +20,6 @@ from rbtrg_robot.log.read import log_files
 from rbtrg_robot.orders.heard import Heard
 from rbtrg_robot.orders.map import LoadMap, read
 from rbtrg_robot.orders.order import follow
-from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import xyz, yaw_of
 from rbtrg_robot.wire.frames import closed_map
@@ -62,8 +61,7 @@ def close(
     pause: waits so many seconds for the log. Raises CloseError, ConfigError, LogError, MapError, which say what to do.
     """
     heard = _listen(bus, run, pause)
-    online = heard.prior.startswith(f"{t.MAP_CLOSED.name}:")
-    if heard.prior and not online and not (out.is_file() and heard.prior == fingerprint(str(out))):
+    if heard.prior and not heard.prior.startswith(t.MAP_CLOSED.name):
         raise CloseError(
             "the stack began with a prior map, in which the robot finds itself: loops are closed in maps that it makes "
             "alone; use `map build` on the logs"
@@ -79,6 +77,7 @@ def close(
             f"the log {run} ends before the odometry was heard: try again, or see `rbtrg-robot status`"
         )
     prior = closed(built, read(out, config_of(run, None, ()).elevation), *then)
+    prior.id = f"{t.MAP_CLOSED.name}:{out.name}:{built.stamp}"
     bus.take(0.0)  # what was said meanwhile
     end = follow(bus, LoadMap(prior))
     if not end.ok:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,16 @@ from rbtrg_robot.wire.messages import stamp_of
 class Reader:
     """Messages in, scans recorded."""
 
-    def __init__(self, recording: Recording, run: int, config: StackConfig) -> None:
+    def __init__(
+        self, recording: Recording, run: int, config: StackConfig, origin: Sequence[float] | None = None
+    ) -> None:
+        """origin: x, y, z [m], yaw [rad] of `odom` in `map` at the first scan of a recording that goes on."""
         self.frame = MapFrame()
         """Where `odom` lay in `map` at the first scan."""
+        if origin is not None:
+            self.frame.x, self.frame.y, self.frame.z, self.frame.yaw = origin
+            self.frame.known = True
+        self._fixed = origin is not None
         self.refused = 0
         """What could not be used."""
         self.scans = 0
@@ -47,7 +55,7 @@ class Reader:
             elif t.JOINTS.carried(message, topic):
                 self._waiting.joints(joint_sample(message))
             elif t.TF_STATIC.carried(message, topic):
-                if not (self.scans and self.frame.known):
+                if not self._fixed and not (self.scans and self.frame.known):
                     self.frame.take(message)
             else:
                 self._waiting.cloud(stamp_of(message), self._names[topic], cloud_points(message))

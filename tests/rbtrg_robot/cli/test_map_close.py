@@ -22,7 +22,6 @@ from rbtrg_robot.log.read import CONFIG
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.orders import map as map_orders
 from rbtrg_robot.orders.heard import Heard
-from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import MAP, odometry_msg
 from rbtrg_robot.wire.frames import laid
@@ -143,7 +142,7 @@ def test_the_stack_goes_on_with_a_map_whose_loops_are_closed(
     result = close(bus, run, out, 0.1, lambda _: flushed(run))
     assert result.loaded
     assert result.words == "2 loops closed, the map moved by up to 0.40 m; the loops of the map were closed"
-    assert played.prior == fingerprint(str(out))
+    assert played.prior.startswith(t.MAP_CLOSED.name), "loops that close by themselves go on"
     prior = played.taken
     assert prior is not None
     x, y, yaw, lift = prior.odom_in_map.tolist()

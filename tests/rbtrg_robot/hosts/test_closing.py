@@ -31,11 +31,11 @@ from rbtrg_robot.hosts.map_build import build
 from rbtrg_robot.orders.heard import Heard as Told
 from rbtrg_robot.orders.map import read
 from rbtrg_robot.stages.elevation import ElevationStage
-from rbtrg_robot.stages.loops import LoopStage
+from rbtrg_robot.stages.loops import SCAN_FILE, LoopStage
 from rbtrg_robot.stages.odometry import OdometryStage
 from rbtrg_robot.stages.stage import Outputs, Stage
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import MAP, cloud_msg, cloud_points, map_patch, patch_msg
+from rbtrg_robot.wire.convert import MAP, as_prior, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.frames import GLIDE_SPEEDS, MapFrame, Planar, laid
 from rbtrg_robot.wire.messages import decode, header, time_msg
 from tests.rbtrg_robot.hosts.test_initial_pose import planar
@@ -179,9 +179,18 @@ class Played:
         self._odometry = OdometryStage(played, lidars, config.facts.imu, (x, y, yaw))
         self.elevation = ElevationStage(ElevationMap(config.elevation), config.elevation_stage, lidars)
         self._stages: list[Stage] = [self._odometry, self.elevation]
-        if config.loops.online:
-            self._stages.append(LoopStage(config))
+        self._config, self._frames = config, msg.TFMessage()
         self.now = 0
+
+    def follow_loops(self, folder: Path) -> LoopStage:
+        """The process `loops` starts, the one before it died."""
+        stage = LoopStage(self._config)
+        stage.put_on(folder)
+        self._stages[2:] = [stage]
+        stage.on(t.TF_STATIC, self._frames)
+        if self.status.scans:
+            stage.on(t.MAP_STATUS, self.status)
+        return stage
 
     def _poll(self) -> list[Any]:
         scans, self._scans = self._scans, []
@@ -219,7 +228,7 @@ class Played:
         for topic, message in outputs:
             self.told.take(topic, message)
             if topic is t.TF_STATIC:
-                frame = MapFrame()
+                frame, self._frames = MapFrame(), message
                 frame.take(message)
                 self.offsets.append((self.now, frame.offset))
             if topic is t.MAP_STATUS:
@@ -308,11 +317,17 @@ def test_real_loops_close_while_the_robot_drives(drive: Seen, tmp_path: Path) ->
     assert played.walls_off(scene) < 0.7 * before
 
 
-def test_loops_close_by_themselves_while_the_robot_drives(drive: Seen) -> None:
+def by_themselves(drive: Seen) -> Played:
+    """A stack that closes its loops."""
+    settings = ["elevation.resolution=0.08", "loops.online=true", "loops.drift=6"]
+    return Played(drive, load(None, settings, scene="flat"))
+
+
+def test_loops_close_by_themselves_while_the_robot_drives(drive: Seen, tmp_path: Path) -> None:
     """Nobody gives a command: of a drive that drifts by half a metre, the map follows its loops."""
     truth, scene = drive.truth, drive.scene
-    settings = ["elevation.resolution=0.08", "loops.online=true", "loops.drift=6"]
-    played = Played(drive, load(None, settings, scene="flat"))
+    played = by_themselves(drive)
+    played.follow_loops(tmp_path)
     told = set()
     for _ in truth:
         played.scan()
@@ -327,6 +342,39 @@ def test_loops_close_by_themselves_while_the_robot_drives(drive: Seen) -> None:
     assert (played.status.location, played.status.epoch) == ("located", epoch)
     assert math.dist(laid(played.offsets[-1][1], planar_of(drive.odometry[-1]))[:2], truth[-1, :2, 3]) < 0.15
     assert played.walls_off(scene) < 0.7 * before
+
+
+def test_loops_close_after_map_close_and_after_their_process_died(drive: Seen, tmp_path: Path) -> None:
+    """Half-way round `map close` has the stack take a map, and the search dies: what it recorded is there again."""
+    truth, half = drive.truth, len(drive.truth) // 2
+    played = by_themselves(drive)
+    died = played.follow_loops(tmp_path)
+    for _ in range(half):
+        played.scan()
+    stamp = played.elevation.map.stamp
+    prior = as_prior(played.elevation.map, stamp, f"{t.MAP_CLOSED.name}:closed.npz:{stamp}")
+    there = np.array([*played.offsets[-1][1], 0.0])
+    played.hear(played.elevation.on(t.MAP_PRIOR, replace(prior, odom_in_map=there, until=time_msg(stamp))))
+    assert (played.status.location, played.status.prior) == ("located", prior.id)
+    scans = len(died.recording.scans)
+    with (tmp_path / SCAN_FILE).open("r+b") as file:
+        file.truncate(file.seek(0, 2) - 5)  # it died while it wrote
+    second = played.follow_loops(tmp_path)
+    assert len(second.recording.scans) == scans - 1
+    for _ in range(len(truth) - half):
+        played.scan()
+    for _ in range(40):
+        played.scan(moves=False)
+    assert second.closed is not None
+    first = min(loop.match.first for loop in second.closed.loops)
+    assert second.recording.scans[second.closed.keyframes[first].scan].stamp < stamp, (
+        "with what was seen then"
+    )
+    assert played.status.location == "located"
+    place = planar_of(drive.odometry[-1])
+    assert math.dist(laid(played.offsets[-1][1], place)[:2], truth[-1, :2, 3]) < 0.15
+    second.close()
+    assert not list(tmp_path.iterdir()), "an end in order leaves nothing"
 
 
 def planar_of(pose: np.ndarray) -> Planar:

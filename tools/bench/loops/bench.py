@@ -9,8 +9,8 @@
 deg off. It tells how near odometry and loops can come alone, and with keyframes that sweeps lay onto each other.
 `ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and
 four such corridors, 1.2 km. What the LiDARs see is cast on the scene; the odometry is the truth with errors of the
-size that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. Truth judges, and nothing else
-uses it.
+size that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. `driven` and `online` are the ring
+with physics and the stack's own odometry, closed by `map build` and by itself. Truth judges, and nothing else uses it.
 """
 
 from __future__ import annotations
@@ -31,20 +31,18 @@ from mapping.closing.close import EXACT_SIGMA, LOOP_LENGTH, LOOP_SIGMA, NEXT_SIG
 from mapping.closing.graph import PoseGraph, between, levelled
 from mapping.closing.keyframes import KEYFRAME_SPACING
 from mapping.elevation.config import ElevationConfig
+from tools.bench.loops import driven
 from tools.bench.report import Report
 from tools.closing import HEIGHT, Drift, Drive, Way, drifted, record, ring, site, twins, way_through
 
 SITES = ("ring", "twins", "site")
+DRIVEN = {"driven": driven.built_rows, "online": driven.online_rows}
 REGISTRATION_ERROR = np.array([0.006, 0.006, 0.006, math.radians(0.05)])
 """Errors of a registration: x, y, z [m], yaw [rad]."""
 NEIGHBOUR_ERROR = np.array([0.001, 0.001, 0.001, math.radians(0.005)])
 """The same of neighbours whose sweeps are laid onto each other,"""
 LOOP_ERROR = np.array([0.001, 0.001, 0.002, math.radians(0.005)])
 """and of loops."""
-WRONG_LOOP = (0.3, 2.0)
-"""A closed loop that is further off is wrong [m], [deg]."""
-WANTED_ERROR = (0.15, 0.3)
-"""Everywhere after [m], [deg]."""
 
 
 def run(args: list[str]) -> Report:
@@ -52,9 +50,9 @@ def run(args: list[str]) -> Report:
     parser = argparse.ArgumentParser(prog="python -m tools.bench loops", description=__doc__)
     parser.add_argument(
         "--only",
-        choices=(*SITES, "graph"),
+        choices=(*SITES, "graph", *DRIVEN),
         action="append",
-        help="may be repeated; all but `graph` without it",
+        help="may be repeated; the first three without it",
     )
     parser.add_argument(
         "--seeds", type=int, default=1, help="drives of each, each with its own drift and scene"
@@ -63,12 +61,15 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--scale", type=float, default=1.0, help="of ring and site")
     parser.add_argument("--drift", type=float, default=1.0, help="times that of the stack's odometry")
     parser.add_argument("--step", type=float, default=0.5, help="between scans [m]")
+    parser.add_argument("--set", action="append", default=[], help="of the driven ones, one key: a.b=c")
     parser.add_argument("--map", action="store_true", help="fuse the elevation map of each as well")
     options = parser.parse_args(args)
     report = Report("loops")
     for name in options.only or SITES:
         if name == "graph":
             graph_rows(report, options)
+        elif name in DRIVEN:
+            DRIVEN[name](report, name, *world("ring", options.first, options.scale), options)
         else:
             rows(report, name, options)
     return report
@@ -124,7 +125,7 @@ def graph_rows(report: Report, options: argparse.Namespace) -> None:
         report.add(f"graph.{name}.median_m", float(np.median(metres)), "m")
         report.add(f"graph.{name}.worst_m", float(metres.max()), "m")
         report.add(f"graph.{name}.worst_deg", float(degrees.max()), "deg")
-        report.rate(f"graph.{name}.within", int((metres <= WANTED_ERROR[0]).sum()), len(metres))
+        report.rate(f"graph.{name}.within", int((metres <= driven.WANTED_ERROR[0]).sum()), len(metres))
 
 
 def _apart(ground: Array, along: Array, a: int, b: int) -> float:
@@ -163,7 +164,7 @@ def rows(report: Report, name: str, options: argparse.Namespace) -> None:
         loops, refused, wrong = (
             loops + len(closed.loops),
             refused + len(closed.refused),
-            wrong + wrongs(closed, truth),
+            wrong + driven.wrongs(closed, grounds_of(closed, truth)),
         )
         disk, length = disk + recording.nbytes / 1e6, length + recording.scans[-1].along
         if options.map:
@@ -177,8 +178,8 @@ def rows(report: Report, name: str, options: argparse.Namespace) -> None:
     report.add(f"{name}.driven", length, "m")
     report.add(f"{name}.before_m", worst_before[0], "m")
     report.add(f"{name}.before_deg", worst_before[1], "deg")
-    report.add(f"{name}.after_m", worst_after[0], "m", WANTED_ERROR[0])
-    report.add(f"{name}.after_deg", worst_after[1], "deg", WANTED_ERROR[1])
+    report.add(f"{name}.after_m", worst_after[0], "m", driven.WANTED_ERROR[0])
+    report.add(f"{name}.after_deg", worst_after[1], "deg", driven.WANTED_ERROR[1])
     report.add(f"{name}.loops", loops, "1", 1.0, at_least=True)
     report.add(f"{name}.refused", refused, "1")
     report.add(f"{name}.wrong", wrong, "1", 0.0)
@@ -194,13 +195,6 @@ def errors(poses: Array, truth: Array) -> tuple[float, float]:
     return float(place.max()), float(np.degrees(np.abs(wrap(yaw)).max()))
 
 
-def wrongs(closed: Closed, truth: Array) -> int:
-    """Loops that were closed where there are none."""
-    grounds = [levelled(truth[frame.scan], HEIGHT) for frame in closed.keyframes]
-    count = 0
-    for loop in closed.loops:
-        off = loop.match.relative - between(grounds[loop.match.first], grounds[loop.match.second])
-        count += bool(
-            np.linalg.norm(off[:3]) > WRONG_LOOP[0] or abs(wrap(off[3])) > math.radians(WRONG_LOOP[1])
-        )
-    return count
+def grounds_of(closed: Closed, truth: Array) -> Array:
+    """(n, 4) of the ground under each keyframe of a drive whose poses are `truth` (n, 4, 4)."""
+    return np.array([levelled(truth[frame.scan], HEIGHT) for frame in closed.keyframes])

@@ -4,7 +4,7 @@ physics, no stack."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -138,10 +138,11 @@ class Drive:
             yield stamp, said, self.eyes.look(there, ())
 
 
-def record(recording: Recording, run: int, drive: Drive) -> None:
-    """Put a drive into a recording."""
+def record(recording: Recording, run: int, drive: Drive, then: Callable[[], None] = lambda: None) -> None:
+    """Put a drive into a recording; `then` is called after each scan."""
     for stamp, pose, clouds in drive.sweeps():
         recording.add(run, stamp, pose, clouds, HEIGHT, np.empty((0, 3)))
+        then()
 
 
 def write_log(path: Path, drive: Drive, sets: Sequence[str] = ()) -> None:

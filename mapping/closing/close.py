@@ -153,7 +153,7 @@ class Closing:
             progress((2 * count + number + 1) / (3 * count))
         for match in self._waiting:
             self._refuse(match, "alone: no other loop near it says the same")
-        return self._closed()
+        return self.closed()
 
     def follow(self, known: int = 0) -> Iterator[Closed | None]:
         """Loops of one run that goes on, while its scans are recorded: without end, a piece of work of some tenths of a
@@ -180,10 +180,10 @@ class Closing:
                 for each in range(len(self.keyframes)):
                     if self._measure(each):
                         yield None
-                yield self._closed()
+                yield self.closed()
 
-    def _closed(self) -> Closed:
-        """What the graph says when it knows what sweeps measured, too."""
+    def closed(self) -> Closed:
+        """What is known so far: what the graph says when it knows what sweeps measured, too."""
         graph = self._measured()
         weights = graph.solve(self._steady) if len(self.keyframes) else np.empty(0)
         edges = graph.loops

@@ -1,6 +1,7 @@
 """Maps that close: drift before and after, wrong loops where corridors look alike, time and memory.
 
     python -m tools.bench loops --only twins --seeds 20
+    python -m tools.bench loops --only twins --seeds 20 --follow
     python -m tools.bench loops --only site
 
     python -m tools.bench loops --only graph --seeds 20
@@ -9,8 +10,9 @@
 deg off. It tells how near odometry and loops can come alone, and with keyframes that sweeps lay onto each other.
 `ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and
 four such corridors, 1.2 km. What the LiDARs see is cast on the scene; the odometry is the truth with errors of the
-size that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. `driven` and `online` are the ring
-with physics and the stack's own odometry, closed by `map build` and by itself. Truth judges, and nothing else uses it.
+size that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. With `--follow` loops close scan
+by scan, as `loops.online` does it. `driven` and `online` are the ring with physics and the stack's own odometry, closed
+by `map build` and by itself. Truth judges, and nothing else uses it.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import argparse
 import math
 import resource
 import time
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -43,6 +45,8 @@ NEIGHBOUR_ERROR = np.array([0.001, 0.001, 0.001, math.radians(0.005)])
 """The same of neighbours whose sweeps are laid onto each other,"""
 LOOP_ERROR = np.array([0.001, 0.001, 0.002, math.radians(0.005)])
 """and of loops."""
+PIECES_PER_SCAN, LAST_PIECES = 10, 500
+"""Of work: a tick of the stage `loops` each, at 10 Hz and half a metre a second; at the end more than are left."""
 
 
 def run(args: list[str]) -> Report:
@@ -62,6 +66,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--drift", type=float, default=1.0, help="times that of the stack's odometry")
     parser.add_argument("--step", type=float, default=0.5, help="between scans [m]")
     parser.add_argument("--set", action="append", default=[], help="of the driven ones, one key: a.b=c")
+    parser.add_argument("--follow", action="store_true", help="close loops while the scans come")
     parser.add_argument("--map", action="store_true", help="fuse the elevation map of each as well")
     options = parser.parse_args(args)
     report = Report("loops")
@@ -146,25 +151,48 @@ def world(name: str, seed: int, scale: float) -> tuple[Scene, Way]:
     return site(scale, seed)
 
 
+class Following:
+    """Loops that close while the scans come."""
+
+    def __init__(self, closing: Closing) -> None:
+        self.told: list[Closed] = []
+        self.seconds = 0.0
+        """CPU."""
+        self._closing, self._pieces = closing, closing.follow()
+
+    def step(self) -> None:
+        """A scan came."""
+        begin = time.process_time()
+        self.told += [one for one in islice(self._pieces, PIECES_PER_SCAN) if one is not None]
+        self.seconds += time.process_time() - begin
+
+    def end(self) -> Closed:
+        """No scan comes any more: what is known once all was searched."""
+        self.told += [one for one in islice(self._pieces, LAST_PIECES) if one is not None]
+        return self._closing.closed()
+
+
 def rows(report: Report, name: str, options: argparse.Namespace) -> None:
     """All drives of one scene."""
     before, after, loops, refused, wrong, seconds, disk, length = [], [], 0, 0, 0, 0.0, 0.0, 0.0
     for seed in range(options.first, options.first + options.seeds):
         scene, way = world(name, seed, options.scale)
         truth = way_through(scene, way, options.step)
-        recording = Recording()
-        record(recording, 0, Drive(scene, truth, drifted(truth, Drift().times(options.drift), seed), seed))
+        recording, params = Recording(), ElevationConfig()
+        drive = Drive(scene, truth, drifted(truth, Drift().times(options.drift), seed), seed)
+        closing = Closing(recording, params, levelled(truth[0], HEIGHT), max(1.0, options.drift))
+        following = Following(closing)
+        record(recording, 0, drive, following.step if options.follow else lambda: None)
         begin = time.process_time()
-        params = ElevationConfig()
-        closed = Closing(recording, params, levelled(truth[0], HEIGHT), max(1.0, options.drift)).close()
-        seconds += time.process_time() - begin
+        closed = following.end() if options.follow else closing.close()
+        seconds += following.seconds + time.process_time() - begin
         poses = corrected(recording.scans, closed.keyframes, closed.nodes)
         before.append(errors(corrected(recording.scans, closed.keyframes, closed.driven), truth))
         after.append(errors(poses, truth))
         loops, refused, wrong = (
             loops + len(closed.loops),
             refused + len(closed.refused),
-            wrong + driven.wrongs(closed, grounds_of(closed, truth)),
+            wrong + max(driven.wrongs(one, grounds_of(one, truth)) for one in (*following.told, closed)),
         )
         disk, length = disk + recording.nbytes / 1e6, length + recording.scans[-1].along
         if options.map:

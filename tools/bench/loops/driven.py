@@ -56,14 +56,19 @@ class Driven:
         self._told: list[tuple[int, Array, Array]] = []
         self._frame, self._first = MapFrame(), MapFrame()
         self.reached = 0
+        self.taken: set[str] = set()
+        """Ids of the closed maps that the stack took."""
 
     def __call__(self, topic: Topic, payload: bytes, _now: int) -> None:
-        """Hear the truth, the odometry and where that lies in `map`."""
+        """Hear the truth, the odometry, where that lies in `map`, and which map that is."""
         message: Any = decode(payload, topic.kind)
         if topic is t.TF_STATIC:
             self._frame.take(message)
             if not self._first.known:
                 self._first.take(message)
+            return
+        if topic is t.MAP_STATUS:
+            self.taken |= {message.prior} - {""}
             return
         pose, stamp = message.pose.pose, stamp_of(message)
         place = xyz(pose.position)
@@ -94,7 +99,7 @@ class Driven:
         """To every corner; the map that the stack has at the end, CPU [s] by stage, and the stage `loops` or None."""
         log = Lockstep.open_log(self.config, self.run) if "loops" in self.config.absent else None
         with Lockstep(self.config, log) as stack:
-            stack.host.listen(self, {t.TRUTH, t.ODOM, t.TF_STATIC})
+            stack.host.listen(self, {t.TRUTH, t.ODOM, t.TF_STATIC, t.MAP_STATUS})
             spent = Spent(stack)
             stack.wait_ready()
             for x, y in self.way[1:]:
@@ -172,12 +177,13 @@ def built_rows(report: Report, name: str, scene: Scene, way: Way, options: argpa
 
 
 def online_rows(report: Report, name: str, scene: Scene, way: Way, options: argparse.Namespace) -> None:
-    """One drive whose loops close by themselves."""
+    """One drive whose loops close by themselves; each map that comes of it is taken, however little it moves."""
     with tempfile.TemporaryDirectory() as folder:
-        options.set += ["loops.online=true", f"loops.drift={options.drift}"]
+        options.set += ["loops.online=true", f"loops.drift={options.drift}", "loops.least=0"]
         driven = Driven(scene, way, options, Path(folder))
         had, seconds, stage = driven.drive()
         _driven(report, name, driven)
+        report.add(f"{name}.maps_taken", len(driven.taken), "1", 1.0, at_least=True)
         off = driven.off()
         report.add(f"{name}.worst_before_m", float(off[:, 0].max()), "m")
         report.add(f"{name}.worst_m", float(off[:, 1].max()), "m")

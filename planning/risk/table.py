@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
@@ -13,7 +12,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.risk.arcs import Arcs, arcs_of
 from planning.risk.body import BodyModel, terrain_of, weights_of
-from planning.risk.tables import Tables, carry_turns, evaluate_edges
+from planning.risk.tables import Tables, carry_turns, evaluate_edges, no_tables
 from planning.risk.terrain import NO_CHANGE, Changed, Sampler, Terrain, changed_cells
 
 MOST_TURNS = 1_000_000
@@ -41,16 +40,15 @@ class RiskTable:
         self.body = body
         self._ids = graph.node_ids
         self._arcs: Arcs | None = None
-        self._tables: dict[tuple[float, float], Tables] = {}
+        self._tables: Tables | None = None
         self._terrain, changed = self._follow(previous)
         self._known: RiskTable | None = previous
         """The newest table with arcs, while this one has none: what that evaluated is asked for there."""
         self._changed: Changed | None = changed
-        """Where the terrain is not what it was for that table; None: its cells are others."""
+        """Where the terrain is not what it was for that table; None: that is to be found out."""
         if previous is not None and previous._arcs is None:  # nobody asked it for an edge
             self._known = previous._known
-            was = previous._changed
-            self._changed = None if changed is None or was is None else was.more(changed)
+            self._changed = changed if previous._changed is NO_CHANGE else None
 
     def _follow(self, previous: RiskTable | None) -> tuple[Terrain, Changed | None]:
         """The terrain of the grid, and where that of `previous` was another."""
@@ -101,7 +99,7 @@ class RiskTable:
         What it comes to know is for the next query as well, once `take_back` has it.
         """
         out = copy.copy(self)
-        out.graph, out._ids, out._arcs, out._tables = graph, graph.node_ids, None, {}
+        out.graph, out._ids, out._arcs, out._tables = graph, graph.node_ids, None, None
         if self._arcs is None:
             out._ask(self._known)
             return out
@@ -113,7 +111,7 @@ class RiskTable:
 
     def take_back(self, query: RiskTable) -> None:
         """A table that `for_query` made, with what it evaluated."""
-        self._arcs, self._tables, self._known, self._changed = None, {}, query, NO_CHANGE
+        self._arcs, self._tables, self._known, self._changed = None, None, query, NO_CHANGE
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
         """True while the table belongs to these inputs."""
@@ -121,31 +119,26 @@ class RiskTable:
             graph is self.graph and graph.version == self.version and grid is self.grid and body == self.body
         )
 
-    def tables(self, body: BodyModel) -> Tables:
-        """Evaluations under the weights of `body`, which differs from the table's own only in them."""
-        slots, key = self.arcs.target.size, (body.weight_mean, body.weight_tail)
-        if key not in self._tables:
-            self._tables[key] = Tables(
-                np.full((slots, 2), np.nan),
-                np.full(slots, -1, np.int32),
-                np.full((256, 2), np.nan),
-                np.zeros(1, np.int64),
-            )
-        return self._tables[key]
+    @property
+    def tables(self) -> Tables:
+        """Evaluations under the weights of the body. A search may make them larger, and puts them back."""
+        slots = self.arcs.target.size  # takes over what was known before
+        if self._tables is None:
+            self._tables = no_tables(slots)
+        return self._tables
 
-    def keep(self, body: BodyModel, tables: Tables) -> None:
-        """Take back the tables of `body` after a search, which may have made them larger."""
-        self._tables[(body.weight_mean, body.weight_tail)] = tables
+    @tables.setter
+    def tables(self, tables: Tables) -> None:
+        self._tables = tables
 
     def evaluate_edges(self) -> None:
         """Evaluate all edges now, so that no query has to: on a large graph, most of a query's time."""
-        evaluate_edges(self.sampler, weights_of(self.body), self.arcs, self.tables(self.body))
+        evaluate_edges(self.sampler, weights_of(self.body), self.arcs, self.tables)
 
     def evaluated(self) -> tuple[int, int]:
-        """Directed edges and turns evaluated so far, over all weights."""
-        self.tables(self.body)  # what was known before is carried over
-        edges = sum(int((~np.isnan(t.edge[:, 0])).sum()) for t in self._tables.values())
-        return edges, sum(int((~np.isnan(t.turns[:, 0])).sum()) for t in self._tables.values())
+        """Directed edges and turns evaluated so far."""
+        tables = self.tables
+        return int((~np.isnan(tables.edge[:, 0])).sum()), int((~np.isnan(tables.turns[:, 0])).sum())
 
     def _carry(self, old: RiskTable, was: NDArray[np.int64]) -> None:
         """Take over what `old` knows of edges that are the same here, in its slots `was`, and have the same ground
@@ -168,16 +161,13 @@ class RiskTable:
 
     def _take_all(self, old: RiskTable, now: NDArray[np.int64]) -> None:
         """Take over what `old` knows of its slots that are here as `now` tells, -1 = nowhere."""
-        for body, known in old._each():
-            tables = self.tables(body)
-            _copy_edges(now, known.edge, tables.edge)
-            if known.used[0] <= MOST_TURNS:  # more are evaluated anew
-                self.keep(body, tables._replace(turns=carry_turns(now, old.arcs, known, self.arcs, tables)))
-
-    def _each(self) -> Iterator[tuple[BodyModel, Tables]]:
-        """The body with each of the weights that were asked for, and the evaluations under them."""
-        for (mean, tail), tables in self._tables.items():
-            yield self.body.model_copy(update={"weight_mean": mean, "weight_tail": tail}), tables
+        known = old._tables
+        if known is None:
+            return
+        _copy_edges(now, known.edge, self.tables.edge)
+        if known.used[0] <= MOST_TURNS:  # more are evaluated anew
+            turns = carry_turns(now, old.arcs, known, self.arcs, self.tables)
+            self.tables = self.tables._replace(turns=turns)
 
 
 def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:

@@ -29,6 +29,16 @@ class Tables(NamedTuple):
     """(1,) rows of `turns` in use."""
 
 
+def no_tables(slots: int) -> Tables:
+    """Nothing is evaluated yet."""
+    return Tables(
+        np.full((slots, 2), np.nan),
+        np.full(slots, -1, np.int32),
+        np.full((256, 2), np.nan),
+        np.zeros(1, np.int64),
+    )
+
+
 @njit(cache=True)
 def evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, slot) -> None:
     """Put B and U of a directed edge into the table; the opposite direction covers the same ground.

@@ -75,21 +75,6 @@ class Changed(NamedTuple):
     cells: NDArray[np.bool_]
     """(rows, cols) from there on."""
 
-    def more(self, other: Changed) -> Changed:
-        """These and those of another change of the same terrain."""
-        parts = [part for part in (self, other) if part.cells.size]
-        if len(parts) < 2:
-            return parts[0] if parts else self
-        row, col = (min(getattr(part, name) for part in parts) for name in ("row", "col"))
-        last = np.max(
-            [(part.row + part.cells.shape[0], part.col + part.cells.shape[1]) for part in parts], axis=0
-        )
-        cells = np.zeros(last - (row, col), np.bool_)
-        for part in parts:
-            r, c = part.row - row, part.col - col
-            cells[r : r + part.cells.shape[0], c : c + part.cells.shape[1]] |= part.cells
-        return Changed(row, col, cells)
-
 
 NO_CHANGE = Changed(0, 0, np.zeros((0, 0), np.bool_))
 

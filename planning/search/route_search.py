@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.cost import cost_of
+from planning.risk.tables import no_tables
 from planning.search.bounds import Asked
 from planning.search.endpoints import Endpoints, is_node
 from planning.search.explain import Route
@@ -49,6 +50,9 @@ class RouteSearch:
             request.rules.turning,
         )
         self._guide: Guide | None = None
+        self._shared = body == at.table.body
+        """Other weights than those of the table are for this query alone."""
+        self._tables = at.table.tables if self._shared else no_tables(at.table.arcs.target.size)
 
     def cheapest(self) -> Route | None:
         """The route over the turns that there are now."""
@@ -66,17 +70,17 @@ class RouteSearch:
 
     def _over_pairs(self) -> tuple[float, NDArray[np.int64]]:
         """Cost and states of the best route over pairs of nodes."""
-        asked, table, body = self._asked, self._at.table, self._body
-        tables = table.tables(body)
-        on = table.sampler, weights_of(body), table.arcs, tables
-        first = self._guide is None
-        if self._guide is None:
-            self._guide = guide_to(*on, asked, *self._xy)
-        cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide)
-        if np.isinf(cost) and not first:
-            self._guide = guide_to(*on, asked, *self._xy)
-            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide)
-        table.keep(body, tables._replace(turns=turns))
+        asked, table, old = self._asked, self._at.table, self._guide is not None
+        while True:
+            on = table.sampler, weights_of(self._body), table.arcs, self._tables
+            guide = self._guide or guide_to(*on, asked, *self._xy)
+            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, guide)
+            self._tables = self._tables._replace(turns=turns)
+            if np.isfinite(cost) or not old:
+                break
+            self._guide, old = None, False  # there may be one over states that the old one did not settle
+        if self._shared:
+            table.tables = self._tables
         return cost, route
 
     def _over_nodes(self) -> tuple[float, NDArray[np.int64], int]:

@@ -157,7 +157,7 @@ def _edges(stage: PlannerStage, x: float, y: float) -> list[Row]:
     terrain.prepare()
     table = terrain.table
     assert table is not None
-    arcs, known, w = table.arcs, table.tables(terrain.body).edge, weights_of(terrain.body)
+    arcs, known, w = table.arcs, table.tables.edge, weights_of(terrain.body)
     for slot in range(int(graph.indptr[node]), int(graph.indptr[node + 1])):
         tx, ty, _ = graph.nodes[graph.indices[slot]].tolist()
         length, risk = float(arcs.length[slot]), float(graph.risk[slot])

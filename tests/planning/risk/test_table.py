@@ -30,7 +30,7 @@ def ground(seed: int, shape: tuple[int, int] = (110, 120)) -> np.ndarray:
 
 
 def edges_of(table: RiskTable) -> np.ndarray:
-    return table.tables(BODY).edge
+    return table.tables.edge
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -79,7 +79,7 @@ def test_turns_are_kept_where_nothing_changed_under_them(seed: int) -> None:
         grid = ElevationGrid(height, grid.trusted, (0.0, 0.0), 0.05)
         graph.update(grid, [(r, c, r + 10, c + 10)])
         table = RiskTable(graph, grid, BODY, table)
-        arcs, tables = table.arcs, table.tables(BODY)
+        arcs, tables = table.arcs, table.tables
         for slot in np.flatnonzero(tables.turn_at >= 0).tolist():
             at = arcs.target[slot]
             for out in range(arcs.indptr[at], arcs.indptr[at + 1]):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.risk.terrain import Changed, Terrain
+from planning.risk.terrain import Terrain
 
 MARGIN, LENGTH, WIDTH = 0.41, 0.7, 0.43
 WINDOW = 3
@@ -73,17 +73,3 @@ def test_a_grid_of_other_cells_is_not_followed() -> None:
     ):
         assert terrain.follow(other) is None
         assert terrain.grid is grid
-
-
-def test_two_changes_are_the_cells_of_either() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        want, parts = np.zeros((20, 20), bool), []
-        for _ in range(2):
-            (r, c), shape = rng.integers(0, 10, 2), rng.integers(0, 10, 2)
-            cells = rng.random(shape) < 0.5
-            want[r : r + shape[0], c : c + shape[1]] |= cells
-            parts.append(Changed(int(r), int(c), cells))
-        both, got = parts[0].more(parts[1]), np.zeros((20, 20), bool)
-        got[both.row : both.row + both.cells.shape[0], both.col : both.col + both.cells.shape[1]] = both.cells
-        np.testing.assert_array_equal(got, want)

@@ -64,11 +64,11 @@ def plain_cost(a, start, step):
 
 def test_cost_to_come_is_plain_dijkstra_where_it_settled_and_a_bound_elsewhere(world):
     table, start, is_end, beyond = table_of(world)
-    want = plain_cost(table.arcs, start, steps_of(table.arcs, table.tables(BODY).edge, least=True))
+    want = plain_cost(table.arcs, start, steps_of(table.arcs, table.tables.edge, least=True))
     a = table.arcs
     goal = table.graph.nodes[-1, :2]
     total, got = cost_to_come(
-        table.sampler, W, a, table.tables(BODY), start, is_end, beyond, float(goal[0]), float(goal[1])
+        table.sampler, W, a, table.tables, start, is_end, beyond, float(goal[0]), float(goal[1])
     )
     assert total == pytest.approx((want + beyond)[is_end].min())
     assert (got <= want + 1e-9).all()
@@ -79,7 +79,7 @@ def test_cost_to_come_is_plain_dijkstra_where_it_settled_and_a_bound_elsewhere(w
 @pytest.mark.parametrize("start", [0, 3, 6, 9])
 def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, start):
     table, _, is_end, beyond = table_of(world)
-    a, step = table.arcs, steps_of(table.arcs, table.tables(BODY).edge)
+    a, step = table.arcs, steps_of(table.arcs, table.tables.edge)
     states = 2 * len(a.target)
     heading = np.column_stack([a.heading, a.heading + np.pi]).ravel()
     own = step.ravel().copy()
@@ -110,7 +110,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
     while not np.array_equal(before, want):
         before = want.copy()
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
-    tables, come = table.tables(BODY), np.zeros(len(a.x))
+    tables, come = table.tables, np.zeros(len(a.x))
     asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning)
     go, heap = begin_to_go(W, a, tables, is_end, beyond, come, RULES.backward)
     least, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, np.inf)

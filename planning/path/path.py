@@ -52,9 +52,9 @@ def make_path(
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
         stand = start_yaw if start_yaw is not None else (goal_yaw or 0.0)
-        pieces, raw = [np.array([[*vertices[0], stand]])], 0
+        pieces = [np.array([[*vertices[0], stand]])]
     else:
-        pieces, raw = _pieces(vertices, back, terrain, body, limits)
+        pieces = _pieces(vertices, back, terrain, body, limits)
     # Where the direction changes the last point of one piece is the first of the next, which tells the heading from
     # there on.
     poses = np.concatenate([*(piece[:-1] for piece in pieces[:-1]), pieces[-1]])
@@ -74,7 +74,6 @@ def make_path(
         back,
         None if start_yaw is None else turn_angle(start_yaw, float(yaw[0])),
         goal_yaw,
-        raw,
         (worst[0], worst[1], worst[2]),
         poses[sparse],
         steps_under(terrain, poses[sparse], body.length, body.width),
@@ -84,17 +83,16 @@ def make_path(
 
 def _pieces(
     vertices: Array, back: NDArray[np.bool_], terrain: Terrain, body: BodyModel, limits: PathLimits
-) -> tuple[list[Array], int]:
-    """Smoothed poses x, y, yaw of the body, one (n, 3) for each stretch in one direction, and the number of sharp
-    corners."""
-    out, sharp, first = [], 0, 0
+) -> list[Array]:
+    """Smoothed poses x, y, yaw of the body, one (n, 3) for each stretch in one direction."""
+    out, first = [], 0
     for last in range(1, len(vertices)):
         if last < len(back) and back[last] == back[first]:
             continue
-        xy, raw = _smooth(vertices[first : last + 1], terrain, body, limits)
+        xy = _smooth(vertices[first : last + 1], terrain, body, limits)
         out.append(np.column_stack([xy, wrap(_headings(xy) + np.pi * back[first])]))
-        sharp, first = sharp + raw, last
-    return out, sharp
+        first = last
+    return out
 
 
 def rest_of(
@@ -191,8 +189,8 @@ def _rise(mine: Array, other: Array, body: BodyModel) -> float:
     return float(max(rise[:3].sum(), rise[3], (more[2] / body.scales).max()))
 
 
-def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, int]:
-    """Samples (n, 2) of the rounded route and the number of corners left sharp."""
+def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> Array:
+    """Samples (n, 2) of the rounded route."""
     raw = _corner_poses(vertices, _dense(body, limits))
     ends = np.cumsum([len(poses) for poses in raw])
     along = terrain_features(terrain, np.concatenate(raw), body)

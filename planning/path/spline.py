@@ -104,7 +104,7 @@ def smooth_route(vertices: Array, corridor: float = 0.08, spacing: float = 0.02)
     map: a corner is rounded as far as the corridor allows (`planning.path.make_path` looks at the body's risk too).
     Successive vertices must differ.
     """
-    return rounded(np.asarray(vertices, np.float64), corridor, spacing)[0]
+    return rounded(np.asarray(vertices, np.float64), corridor, spacing)
 
 
 def rounded(
@@ -112,8 +112,8 @@ def rounded(
     corridor: float,
     spacing: float,
     refused: Callable[[Array, list[tuple[int, slice]]], list[int]] | None = None,
-) -> tuple[Array, int]:
-    """Samples (m, 2) of the rounded polyline and how many of its corners stayed sharp.
+) -> Array:
+    """Samples (m, 2) of the rounded polyline.
 
     Each corner is rounded less until its samples lie within the corridor and `refused` does not name it. `refused` gets
     all samples and, per rounded corner, its vertex and which samples are its own; it returns the vertices whose
@@ -130,7 +130,7 @@ def rounded(
         if refused is not None:
             shrink.update(refused(xy, corners))
         if not shrink:
-            return xy, int((reach[1:-1] == 0.0).sum())
+            return xy
         for i in shrink:
             reach[i] = 0.5 * reach[i] if reach[i] > 0.06 else 0.0
 

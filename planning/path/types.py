@@ -59,8 +59,6 @@ class Path:
     """Turn in place before driving off [rad], positive left; None when the start yaw is not known."""
     goal_yaw: float | None
     """Heading wanted at the end [rad]; the last `yaw` is that on the way."""
-    raw_corners: int
-    """Corners of the route that stayed sharp because rounding them left the corridor or raised the risk."""
     worst: tuple[float, float, float]
     """Largest d_fb [m], a_lr [deg], p_int [m] on the path when it was made."""
     watched: Array = field(repr=False)

@@ -49,7 +49,6 @@ def test_the_path_keeps_ends_spacing_and_corridor():
     np.testing.assert_allclose(np.diff(path.s), gaps)
     away = distance_to_polyline(path.points[:, :2], graph.nodes[:, :2])
     assert 0.02 < away.max() <= LIMITS.corridor
-    assert path.raw_corners == 0
     bend = np.abs(wrap(np.diff(path.yaw)))
     assert bend.max() < np.radians(20), "a rounded path has no kinks"
 

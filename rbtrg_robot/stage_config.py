@@ -42,6 +42,13 @@ class NavigatorConfig(BaseModel):
         0.5, gt=0, description="where the obstacle is thought to be: ahead of base_link [m]"
     )
     avoid_radius: float = Field(0.3, gt=0, description="radius kept free around it [m]")
+    look_pitch: float = Field(
+        0.26,
+        ge=0.0,
+        le=0.5,
+        description="nose down to look at the ground ahead, as far as the robot can; at 0.26 an XT16 sees level ground "
+        "from 0.9 m on instead of 1.9 m [rad]",
+    )
 
 
 class FreshnessConfig(BaseModel):

@@ -24,7 +24,8 @@ from pydantic import (
 
 from hal.errors import OperatorError
 from rbtrg_robot import msg, yaml_file
-from rbtrg_robot.stages.mission.order import LEAST_SWATH, MOST_CORNERS, Blocking, Kind
+from rbtrg_robot.areas import MOST_CORNERS
+from rbtrg_robot.stages.mission.order import LEAST_SWATH, Blocking, Kind
 from rbtrg_robot.yaml_file import YamlError
 
 

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from planning.risk.body import BodyModel
 from planning.search.viewpoints import Survey, viewpoints
 from rbtrg_robot import msg
+from rbtrg_robot.areas import MOST_CORNERS
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.wire.convert import MAP
 from rbtrg_robot.wire.messages import array, header
 
 F64 = "float64"
-MOST_CORNERS = 1000
-"""Of an area, at most."""
 
 
 def views_of(terrain: MapGraph, question: msg.ExploreQuestion, body: BodyModel, now: int) -> msg.Viewpoints:
@@ -23,7 +22,7 @@ def views_of(terrain: MapGraph, question: msg.ExploreQuestion, body: BodyModel, 
     start, area = (question.start_x, question.start_y), _pairs(question.area)
     home = (question.home_x, question.home_y) if question.has_home else None
     numbers = np.concatenate([start, question.area, question.barred, home or ()])
-    if not np.isfinite(numbers).all() or len(question.area) not in (0, *range(6, 2 * MOST_CORNERS, 2)):
+    if not np.isfinite(numbers).all() or len(question.area) not in (0, *range(6, 2 * MOST_CORNERS + 2, 2)):
         answer.refused = "the question has numbers that are not finite, or its area no corners"
         return answer
     if question.anew and terrain.graph is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rbtrg_robot import msg
+from rbtrg_robot.areas import MOST_CORNERS
 from rbtrg_robot.stages.mission.cursor import nested
 from rbtrg_robot.wire.convert import MAP
 from rbtrg_robot.wire.messages import encode, header
@@ -57,7 +58,6 @@ class Blocking(StrEnum):
 
 MOST_STEPS = 1000
 MOST_RETRIES = 100
-MOST_CORNERS = 100
 LEAST_SWATH = 0.3
 """[m]"""
 GOAL_SPACING = 4.0

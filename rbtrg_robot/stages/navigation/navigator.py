@@ -45,8 +45,6 @@ HELD_REPLAN = 2.5
 s."""
 ENDS_NEARER = 0.05
 """[m] by which a plan must end nearer to the goal than a robot that is there, or it is there for good."""
-LOOK_PITCH = math.radians(15.0)
-"""Nose-down an XT16 sees level ground from 0.9 m on instead of 1.9 m, and over crests [rad]."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -465,7 +463,10 @@ class NavigatorStage:
         """Tilt the trunk and look at the ground ahead before the next plan."""
         self._stand(goal, LOOKING)
         goal.state = GoalState.PLANNING
-        self._out[-1] = (t.PATH_COMMAND, self._order.look(self._now, goal.id, min(LOOK_PITCH, self._tilt)))
+        self._out[-1] = (
+            t.PATH_COMMAND,
+            self._order.look(self._now, goal.id, min(self._params.look_pitch, self._tilt)),
+        )
         self._status()
 
     def _stand(self, goal: Goal, why: str) -> None:

@@ -1253,7 +1253,7 @@ def test_it_looks_once_at_each_place_from_which_no_way_leads_on(looker: World) -
     no_way(looker)
     order, asked = looker.last(t.PATH_COMMAND), looker.count(t.PLAN_REQUEST)
     assert len(order.x) == 0
-    assert order.look == pytest.approx(math.radians(15.0))
+    assert order.look == pytest.approx(NavigatorConfig().look_pitch)
     look_over(looker)
     assert looker.count(t.PLAN_REQUEST) == asked + 1
     for pose, looks in (((0.1, 0.0, 0.0), False), ((0.1, 0.0, 1.0), True), ((1.0, 0.0, 1.0), True)):

@@ -119,7 +119,7 @@ def _best(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: float
     straight = math.hypot(arcs.x[at.start] - goal[0], arcs.y[at.start] - goal[1])
     w = weights_of(at.table.body)
     if found is None or not worth_keeping(_bare(found, w), straight):
-        other = _to_frontier(at, request, start_yaw, goal)
+        other = _to_frontier(at, request, start_yaw, goal, alone=found is None)
         # What is still to go from a frontier knows neither body nor turns, so the way to the goal counts without, too.
         if found is None or (other is not None and not worth_keeping(_bare(found, w), _bare(other, w))):
             found = other
@@ -167,15 +167,16 @@ def _to_goal(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: fl
 
 
 def _to_frontier(
-    at: Endpoints, request: PlanRequest, start_yaw: float, goal: tuple[float, float]
+    at: Endpoints, request: PlanRequest, start_yaw: float, goal: tuple[float, float], *, alone: bool
 ) -> Plan | None:
-    """The plan to the frontier with the least cost so far plus way to go (see `planning.search.frontier`)."""
+    """The plan to the frontier with the least cost so far plus way to go (see `planning.search.frontier`). `alone`: no
+    way leads to the goal."""
     graph = at.table.graph
     nodes = graph.nodes[:, :2]
     ends = frontiers(graph, at.start, request)
     # Where known ground alone lies between all of them and what hides the goal, they show nothing of the way there.
     ground = open_ground(at.table.grid, goal)
-    if not np.isfinite(way_to_go(at.table.grid, nodes, goal, nodes, ground=ground)[ends]).any():
+    if alone and not np.isfinite(way_to_go(at.table.grid, nodes, goal, nodes, ground=ground)[ends]).any():
         return None
     price = unseen_price(at.table.body)
     way = way_to_go(at.table.grid, nodes, goal, fields=fields_of(graph), ground=ground)

@@ -301,3 +301,19 @@ def test_a_way_ahead_over_ground_that_nobody_saw_leads_to_the_goal() -> None:
     graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(blind_radius=0.0))
     request = PlanRequest((1.0, 1.0), (7.3, 1.0), 0.0, allow_frontier=True)
     assert plan(graph, grid, request).reaches_goal
+
+
+def test_a_dear_way_over_known_ground_is_left_for_a_frontier_beside_it() -> None:
+    z = np.zeros((160, 220), np.float32)
+    known = np.ones(z.shape, bool)
+    known[:50, 80:120] = False
+    grid = ElevationGrid(z, known, (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (2.0, 4.0), GraphParams(blind_radius=0.0))
+    request = PlanRequest((2.0, 4.0), (8.0, 4.0), 0.0, allow_frontier=True)
+    assert plan(graph, grid, request).reaches_goal
+    left = graph.nodes[:, 0] < 5.0
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    graph.price[left[source] != left[graph.indices]] += 50.0  # as over the edge of a kerb
+    found = plan(graph, grid, request)
+    assert not found.reaches_goal
+    assert found.points[-1, 1] < 3.5

@@ -8,12 +8,11 @@ import math
 import numpy as np
 
 from hal.safety.planned import free_turn, mapped
-from hal.safety.swept import Body, Surroundings
+from hal.safety.swept import Surroundings
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.graph.describe import HEADING_COUNT, HEADING_STEP
 from planning.graph.params import GraphParams
-from planning.search.turn_clearance import wheels_turn
 
 TURN_REACH = 0.2
 """[m] beyond the corners of a body that turns: what it may drift, and a gap beside it."""
@@ -32,20 +31,14 @@ def known_around(grid: ElevationGrid, xy: tuple[float, float], reach: float) -> 
 def guarded_turn(
     grid: ElevationGrid, params: GraphParams, xy: tuple[float, float], yaw: float, turn: float, spare: float
 ) -> float:
-    """How far [rad], at most the size of `turn`, the guard and the wheels let a body that is larger by `spare` [m] on
-    each side turn at x, y [m] on the spot from `yaw` [rad].
+    """How far [rad], at most the size of `turn`, the guard lets a body that is larger by `spare` [m] on each side turn
+    at x, y [m] on the spot from `yaw` [rad]. What lies under its wheels has a price (`TraversalGraph.turn_price`).
 
     The guard keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when
     0.14 rad of a turn are left (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
-    robot = drives_over(params)
-    around, pose = (
-        known_around(grid, xy, 0.5 * math.hypot(params.length, params.width) + TURN_REACH),
-        (*xy, yaw),
-    )
-    return min(
-        free_turn(around, pose, turn, robot, spare), wheels_turn(around, pose, turn, Body.of(robot), params)
-    )
+    around = known_around(grid, xy, 0.5 * math.hypot(params.length, params.width) + TURN_REACH)
+    return free_turn(around, (*xy, yaw), turn, drives_over(params), spare)
 
 
 def drives_over(params: GraphParams) -> Capabilities:

@@ -4,12 +4,15 @@ has mujoco, pygame and the vendor's SDK (`unitree_sdk2py`, cyclonedds 0.10.2); n
     python vendor_simulator.py FOLDER_OF_UNITREE_MUJOCO SCENE.xml DOMAIN
 
 What it lacks is added from outside: it counts no tick, which the robot does in ms, and it has no mode switcher, which
-here says that no motion service is active. On standard output comes a JSON line with the truth 20 times a second. It
+here says that no motion service is active. It keeps ten commands in a queue: on a busy machine the motors would follow
+one of 20 ms ago. Here a step tells its state and the next one waits for commands that answer it, so that a busy machine
+is slower and nothing else. On standard output comes a JSON line with the truth 20 times a second of its own time. It
 ends with its standard input.
 """
 
 import json
 import os
+import queue
 import runpy
 import sys
 import time
@@ -25,6 +28,7 @@ import config  # noqa: E402
 import mujoco  # noqa: E402
 from unitree_sdk2py.core import channel  # noqa: E402
 from unitree_sdk2py.rpc.server import Server  # noqa: E402
+from unitree_sdk2py.utils import thread  # noqa: E402
 
 config.ROBOT, config.ROBOT_SCENE, config.DOMAIN_ID, config.INTERFACE = "go2w", SCENE, DOMAIN, "lo"
 config.USE_JOYSTICK = config.PRINT_SCENE_INFORMATION = False
@@ -33,31 +37,82 @@ config.USE_JOYSTICK = config.PRINT_SCENE_INFORMATION = False
 class Screen:
     """In place of the window."""
 
-    on = True
-
     def is_running(self):
-        return self.on
+        return True
 
     def sync(self):
         """Nothing is drawn."""
 
 
-screen = Screen()
-mujoco.viewer = types.SimpleNamespace(launch_passive=lambda *_args, **_more: screen)
+mujoco.viewer = types.SimpleNamespace(launch_passive=lambda *_args, **_more: Screen())
 sys.modules["mujoco.viewer"] = mujoco.viewer
 
-write = channel.ChannelPublisher.Write
-began = time.monotonic()
+ANSWERS, PATIENCE = 3, 0.02
+"""A step waits for so many commands after a state, since the first may have been sent before it came; [s] at most: a
+motor loop that is dead sends none."""
+TOLD_EVERY = 10
+"""Steps between two lines of truth."""
+
+answers = queue.SimpleQueue()
+step, subscribe, write = mujoco.mj_step, channel.ChannelSubscriber.Init, channel.ChannelPublisher.Write
+tell_state = None
+now = 0.0
+"""[s] of the simulation."""
+
+
+def following(self, handler=None, queue_length=0):
+    """The newest command at once, instead of the oldest of a queue."""
+    if handler is None or handler.__name__ != "LowCmdHandler":
+        return subscribe(self, handler, queue_length)
+
+    def follow(sample):
+        handler(sample)
+        answers.put(None)
+
+    return subscribe(self, follow)
+
+
+class Recurrent(thread.RecurrentThread):
+    """LowState is told by `answered`, and not by a clock of its own."""
+
+    def __init__(self, interval=1.0, target=None, name=None):
+        global tell_state
+        self.kept = target.__name__ == "PublishLowState"
+        tell_state = target if self.kept else tell_state
+        super().__init__(interval, target, name)
+
+    def Start(self):
+        if not self.kept:
+            super().Start()
+
+
+def answered(model, data):
+    """A step when the last state was answered; then the state."""
+    global now
+    deadline = time.monotonic() + PATIENCE
+    try:
+        for _ in range(ANSWERS):
+            answers.get(timeout=max(0.0, deadline - time.monotonic()))
+    except queue.Empty:
+        pass
+    step(model, data)
+    now = data.time
+    while not answers.empty():
+        answers.get()
+    tell_state()
+    if round(now / model.opt.timestep) % TOLD_EVERY == 0:
+        tell_truth(data)
 
 
 def ticking(self, sample, timeout=None):
     """With the milliseconds since the robot was switched on."""
     if hasattr(sample, "tick"):
-        sample.tick = int(1000.0 * (time.monotonic() - began))
+        sample.tick = round(1000.0 * now)
     return write(self, sample, timeout)
 
 
-channel.ChannelPublisher.Write = ticking
+mujoco.mj_step, thread.RecurrentThread = answered, Recurrent
+channel.ChannelSubscriber.Init, channel.ChannelPublisher.Write = following, ticking
 
 
 class ModeSwitcher(Server):
@@ -73,14 +128,10 @@ class ModeSwitcher(Server):
 
 told = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)  # what they print is no report
-simulator = runpy.run_path(os.path.join(FOLDER, "unitree_mujoco.py"), run_name="__main__")
-time.sleep(0.5)
-server = ModeSwitcher()
-server.Init()
-server.Start(False)
-data = simulator["mj_data"]
-os.set_blocking(0, False)
-while True:
+
+
+def tell_truth(data):
+    """A line of it."""
     w, x, y, z = data.qpos[3:7]
     state = {
         "t": float(data.time),
@@ -95,10 +146,12 @@ while True:
     }
     told.write(json.dumps(state) + "\n")
     told.flush()
-    time.sleep(0.05)
-    try:
-        if os.read(0, 64) == b"":
-            screen.on = False
-            os._exit(0)
-    except BlockingIOError:
-        pass
+
+
+runpy.run_path(os.path.join(FOLDER, "unitree_mujoco.py"), run_name="__main__")
+time.sleep(0.5)
+server = ModeSwitcher()
+server.Init()
+server.Start(False)
+sys.stdin.read()
+os._exit(0)

@@ -31,12 +31,11 @@ def warm(part: str) -> float:
         import numpy as np
 
         from mapping.grid import ElevationGrid
-        from planning.graph import GraphParams
-        from tools.baselines.native import native_graph
+        from tools.baselines.native import NativeParams, native_graph
 
         flat = np.zeros((50, 50), np.float32)
         grid = ElevationGrid(flat, np.ones(flat.shape, bool), (0.0, 0.0), 0.05)
-        native_graph(grid, (1.25, 1.25), GraphParams(), 0)
+        native_graph(grid, (1.25, 1.25), NativeParams(), 0)
     else:
         from rbtrg_robot.config import load
         from rbtrg_robot.hosts.lockstep import build_stages

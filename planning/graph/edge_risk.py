@@ -1,5 +1,5 @@
-"""Kernels shared with the graph of the released planner (`tools/baselines/native.py`): disc test, direction-aware
-terrain risk, symmetric 3x3 eigenvectors.
+"""Kernels shared with the graph of the released planner (`tools/baselines/native.py`): direction-aware terrain risk,
+symmetric 3x3 eigenvectors.
 
 Grids are float32 heights [m] with NaN where there is no map point; x0, y0 are the coordinates of the centre of
 cell [0, 0] and res is the cell size [m].
@@ -11,64 +11,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-from scipy import ndimage
 
-from hal.kernels import select
 from hal.raster import cell_of
 
 F32 = np.float32
-
-
-def window_minmax(height: NDArray[np.float32], k: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Least and largest height [m] of the (2k + 1)^2 cells around each: two (rows, cols). NaN and what lies outside do
-    not count."""
-    size, unknown = 2 * k + 1, np.isnan(height)
-    low = np.where(unknown, F32(np.inf), height)
-    high = np.where(unknown, F32(-np.inf), height)
-    return (
-        ndimage.minimum_filter(low, size, mode="constant", cval=np.inf),
-        ndimage.maximum_filter(high, size, mode="constant", cval=-np.inf),
-    )
-
-
-@njit(cache=True)
-def disc_blocked(height, xs, ys, x0, y0, res, low, high, k, x, y, radius, limit, share, buffer):
-    """True if more than `share` of the map points within `radius` of x, y lie over `limit` off their upper median.
-
-    xs, ys: float32 coordinates of columns and rows. `low`, `high`, `k` from `window_minmax`, with k cells covering the
-    radius: where the whole square spans no more than `limit`, no cell can be an outlier and the median is not needed.
-    No map point at all counts as blocked.
-    """
-    rows, cols = height.shape
-    r_mid = cell_of(y, y0, res)
-    c_mid = cell_of(x, x0, res)
-    if 0 <= r_mid < rows and 0 <= c_mid < cols and high[r_mid, c_mid] - low[r_mid, c_mid] <= limit:
-        known = height[r_mid, c_mid]
-        if known == known:
-            return False
-    r2 = radius * radius
-    n = np.int64(0)
-    for r in range(max(0, r_mid - k), min(rows, r_mid + k + 1)):
-        dy = ys[r] - y
-        rest = r2 - dy * dy
-        if rest < 0.0:
-            continue
-        for c in range(max(0, c_mid - k), min(cols, c_mid + k + 1)):
-            dx = xs[c] - x
-            if dx * dx + dy * dy <= r2:
-                z = height[r, c]
-                if z == z:
-                    buffer[n] = z
-                    n += 1
-    if n == 0:
-        return True
-    median = select(buffer, n, n // 2)
-    outliers = 0
-    for i in range(n):
-        if abs(buffer[i] - median) > limit:
-            outliers += 1
-    return F32(outliers) / F32(n) > share
 
 
 @njit(cache=True)

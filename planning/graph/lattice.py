@@ -18,7 +18,7 @@ from planning.graph.blind import assume_blind
 from planning.graph.cells import NEIGHBOUR_OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
 from planning.graph.edge_price import TRACK_BEYOND
-from planning.graph.edge_risk import F32, window_minmax
+from planning.graph.edge_risk import F32
 from planning.graph.edges import CORRIDOR_MARGIN, SECTION_LENGTH, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
@@ -54,7 +54,7 @@ class Lattice:
         if not windows:
             return False
         boxes = self._flags(grid, windows)
-        moved = self._nodes(grid, boxes)
+        moved = self._nodes(boxes)
         self._edges(grid, boxes, moved)
         self._describe(grid, boxes, moved)
         return True
@@ -64,7 +64,7 @@ class Lattice:
         [m])."""
         for box in boxes:
             self.cells.drawn[self.cells.within(box, 0.0)] = sample % SAMPLE_COUNT
-        moved, unchanged = self._nodes(grid, boxes), np.empty((0, 4))
+        moved, unchanged = self._nodes(boxes), np.empty((0, 4))
         self._edges(grid, unchanged, moved)
         self._describe(grid, unchanged, moved)
 
@@ -111,28 +111,18 @@ class Lattice:
             [(x0 + c0 * res, y0 + r0 * res, x0 + c1 * res, y0 + r1 * res) for r0, c0, r1, c1 in touched]
         )
 
-    def _nodes(self, grid: ElevationGrid, boxes: Array) -> Mask:
+    def _nodes(self, boxes: Array) -> Mask:
         """Step 2: one node in each lattice cell near `boxes`. -> (ny, nx) where the node is not what it was."""
-        p, cells, (rows, cols) = self.params, self.cells, grid.shape
-        (x0, y0), res = cells.origin, cells.res
-        xs, ys = _axes(grid)
-        k = math.floor(p.robot_size / res + 0.5) + 1
+        p, cells = self.params, self.cells
         before = (cells.chosen.copy(), cells.where.copy())
         todo = np.zeros(cells.chosen.shape, dtype=np.bool_)
         for box in boxes:
-            js, is_ = cells.within(box, max(CLEAR_LEVELS[0], p.robot_size) + 2.0 * res)
+            js, is_ = cells.within(box, max(CLEAR_LEVELS[0], p.robot_size) + 2.0 * cells.res)
             todo[:] = False
             todo[js, is_] = True
-            ra = max(0, math.floor(((cells.corner[1] + js.start) * self.side - y0) / res) - 2 * k)
-            rb = min(rows, math.ceil(((cells.corner[1] + js.stop) * self.side - y0) / res) + 2 * k)
-            ca = max(0, math.floor(((cells.corner[0] + is_.start) * self.side - x0) / res) - 2 * k)
-            cb = min(cols, math.ceil(((cells.corner[0] + is_.stop) * self.side - x0) / res) + 2 * k)
-            low, high = window_minmax(np.ascontiguousarray(grid.height[ra:rb, ca:cb]), k)
             place_nodes(
-                grid.height, cells.flags, xs, ys, x0, y0, res, low, high, k, ra, ca,
-                *cells.corner, self.side, self.seed, cells.drawn, p.sample_num, todo, F32(p.robot_size),
-                F32(p.height_threshold), F32(p.collision_threshold), 0.5 * p.width, p.min_coverage,
-                cells.chosen, cells.where,
+                cells.flags, *cells.origin, cells.res, *cells.corner, self.side, self.seed, cells.drawn, p.sample_num,
+                todo, 0.5 * p.width, p.min_coverage, cells.chosen, cells.where,
             )  # fmt: skip
         return (before[0] != cells.chosen) | (before[1] != cells.where).any(axis=2)
 

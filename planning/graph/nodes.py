@@ -13,7 +13,6 @@ import numpy as np
 from numba import njit
 
 from hal.raster import cell_of
-from planning.graph.edge_risk import F32, disc_blocked
 from planning.graph.flags import FACE, HIGH, LOW, UNSEEN
 
 CLEAR_LEVELS = (0.45, 0.36, 0.28)
@@ -163,21 +162,11 @@ def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
 
 @njit(cache=True)
 def place_nodes(
-    height, flags, xs, ys, x0, y0, res, low, high, k_disc, low_r, low_c,
-    ix0, iy0, side, seed, drawn, samples, todo, radius, limit, share, half_width, min_coverage,
-    chosen, where,
+    flags, x0, y0, res, ix0, iy0, side, seed, drawn, samples, todo, half_width, min_coverage, chosen, where
 ):  # fmt: skip
-    """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y).
-
-    low, high: `window_minmax` of a piece of the map that starts at row low_r, column low_c and covers the discs.
-    """
+    """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y)."""
     ny, nx = todo.shape
-    rows, cols = height.shape
-    buffer = np.empty((2 * k_disc + 3) ** 2, np.float32)
-    sub_r, sub_c = low.shape
-    piece = height[low_r : low_r + sub_r, low_c : low_c + sub_c]
-    piece_x = xs[low_c : low_c + sub_c]
-    piece_y = ys[low_r : low_r + sub_r]
+    rows, cols = flags.shape
     levels = len(CLEAR_LEVELS)
     for j in range(ny):
         for i in range(nx):
@@ -206,11 +195,6 @@ def place_nodes(
                     if tried == CANDIDATE_TRIES:
                         break
                     continue
-                if disc_blocked(
-                    piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
-                    F32(x), F32(y), radius, limit, share, buffer,
-                ):  # fmt: skip
-                    continue
                 best_level = level
                 best = k
                 where[j, i, 0] = x
@@ -223,11 +207,6 @@ def place_nodes(
                     flags, x0, y0, res, where[j, i, 0], where[j, i, 1],
                     (ix0 + i) * side, (iy0 + j) * side, side,
                 )  # fmt: skip
-                if _seen(
-                    flags, x0, y0, res, x, y, half_width, min_coverage
-                ) and not disc_blocked(
-                    piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
-                    F32(x), F32(y), radius, limit, share, buffer,
-                ):  # fmt: skip
+                if _seen(flags, x0, y0, res, x, y, half_width, min_coverage):
                     where[j, i, 0] = x
                     where[j, i, 1] = y

@@ -24,16 +24,12 @@ class GraphSettings(BaseModel):
 
     expand_dist: float = Field(default=0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
     robot_size: float = Field(
-        default=0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
+        default=0.30,
+        gt=0.0,
+        description="radius of the terrain that an edge's risk is taken from, least node spacing (R) [m]",
     )
     sample_num: int = Field(
         default=32, ge=1, le=63, description="draws per expanded node, or candidates per lattice cell"
-    )
-    height_threshold: float = Field(
-        default=0.50, gt=0.0, description="a cell this far from the disc's median is an outlier [m]"
-    )
-    collision_threshold: float = Field(
-        default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
     )
     fall_cost: float = Field(
         default=FALL_COST,

@@ -7,10 +7,9 @@ import pytest
 
 from mapping.grid import ElevationGrid
 from planning import NoRoute
-from planning.graph.edge_risk import disc_blocked, edge_risk, top_two_z, window_minmax
-from planning.graph.graph import GraphParams
+from planning.graph.edge_risk import edge_risk, top_two_z
 from tests.places import GOLDEN, needs_shared
-from tools.baselines.native import _draw, native_graph
+from tools.baselines.native import NativeParams, _draw, disc_blocked, native_graph, window_minmax
 from tools.bench.planning.oracle import NativeOracle
 
 
@@ -40,7 +39,7 @@ def test_graph_equals_the_released_planner(name: str) -> None:
         data["height"], np.ones(shape, bool), tuple(data["origin"]), float(data["resolution"])
     )
     keys = ("expand_dist", "robot_size", "height_threshold", "collision_threshold")
-    params = GraphParams(sample_num=int(data["sample_num"]), **{k: float(data[k]) for k in keys})
+    params = NativeParams(sample_num=int(data["sample_num"]), **{k: float(data[k]) for k in keys})
     graph = native_graph(grid, tuple(data["start"]), params, int(data["seed"]))
 
     want = data["nodes"].astype(np.float64)
@@ -131,11 +130,11 @@ def test_eigenvectors_equal_lapack() -> None:
 @pytest.mark.parametrize(
     "params",
     [
-        GraphParams(expand_dist=0.6, sample_num=7, height_threshold=0.16, collision_threshold=0.1),
-        GraphParams(expand_dist=0.38, sample_num=12, height_threshold=0.2, collision_threshold=0.1),
+        NativeParams(expand_dist=0.6, sample_num=7, height_threshold=0.16, collision_threshold=0.1),
+        NativeParams(expand_dist=0.38, sample_num=12, height_threshold=0.2, collision_threshold=0.1),
     ],
 )
-def test_graph_equals_the_plain_python_reading(params: GraphParams) -> None:
+def test_graph_equals_the_plain_python_reading(params: NativeParams) -> None:
     grid = _terrain(7, n=80)
     graph = native_graph(grid, (1.0, 1.0), params, seed=9)
     oracle = NativeOracle(grid, (1.0, 1.0), params, seed=9)
@@ -150,7 +149,7 @@ def test_graph_equals_the_plain_python_reading(params: GraphParams) -> None:
 
 def test_same_seed_same_graph_other_seed_another() -> None:
     grid = _terrain(5)
-    params = GraphParams(height_threshold=0.15, collision_threshold=0.1, sample_num=12)
+    params = NativeParams(height_threshold=0.15, collision_threshold=0.1, sample_num=12)
     a = native_graph(grid, (1.0, 1.0), params, seed=3)
     b = native_graph(grid, (1.0, 1.0), params, seed=3)
     c = native_graph(grid, (1.0, 1.0), params, seed=4)
@@ -164,5 +163,5 @@ def test_no_free_root_is_a_typed_error() -> None:
     z = np.random.default_rng(0).uniform(0.0, 5.0, (60, 60)).astype(np.float32)
     grid = ElevationGrid(z, np.ones_like(z, bool), (0.0, 0.0), 0.05)
     with pytest.raises(NoRoute) as caught:
-        native_graph(grid, (1.0, 1.0), GraphParams(), 0)
+        native_graph(grid, (1.0, 1.0), NativeParams(), 0)
     assert caught.value.reason == "start_not_on_graph"

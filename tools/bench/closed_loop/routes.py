@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from hal.robots import describe
 from hal.scenes import Scene, load_scene
 from planning.errors import NoRoute
-from planning.graph import GraphParams, TraversalGraph
+from planning.graph import TraversalGraph
 from planning.path import PathLimits, make_path, smooth_route
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search import DriveRules, Plan, PlanRequest, plan
 from planning.search.door import planner_of
 from rbtrg_robot.stage_config import GraphConfig, PlannerConfig
-from tools.baselines.native import native_graph, snapped
+from tools.baselines.native import NativeParams, native_graph, snapped
 from tools.bench.closed_loop.protocol import BASELINES, COMMANDED_SPEED, FACE_RISE, SHARED
 from tools.bench.static.study import survey_grid
 
@@ -81,7 +81,7 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
     try:
-        graph = native_graph(grid, scene.start[:2], GraphParams(), query)
+        graph = native_graph(grid, scene.start[:2], NativeParams(), query)
         table = RiskTable(graph, grid, body)
         ends = snapped(graph, grid, start, goal)
     except NoRoute as none:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.graph.graph import GraphParams
+from tools.baselines.native import NativeParams
 
 F = np.float32
 
@@ -19,7 +19,7 @@ class NativeOracle:
     """Grows the native graph of a fully known grid; `nodes`, `edges`, `risk` hold the result."""
 
     def __init__(
-        self, grid: ElevationGrid, start_xy: tuple[float, float], params: GraphParams, seed: int
+        self, grid: ElevationGrid, start_xy: tuple[float, float], params: NativeParams, seed: int
     ) -> None:
         self.p = params
         self.z = grid.height

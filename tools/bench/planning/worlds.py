@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from mapping.grid import ElevationGrid
-from planning.graph.graph import GraphParams
+from tools.baselines.native import NativeParams
 
 ROOT = Path(__file__).resolve().parents[3]
 GOLDEN = ROOT.parent / "shared" / "golden"
-MOUNTAIN = GraphParams(
+MOUNTAIN = NativeParams(
     expand_dist=0.6,
     robot_size=0.3,
     sample_num=7,
     height_threshold=0.16,
     collision_threshold=0.1,
 )
-DENSE = GraphParams()
-Problem = tuple[ElevationGrid, tuple[float, float], GraphParams, int]
+DENSE = NativeParams()
+Problem = tuple[ElevationGrid, tuple[float, float], NativeParams, int]
 
 
 def rough_terrain(size: float, res: float, seed: int, rocks_per_m2: float = 0.1) -> ElevationGrid:

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from hal.scenes import Scene, load_scene
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
-from planning.graph.graph import GraphParams, TraversalGraph
+from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.plan import VARIANTS, Plan, PlanRequest, plan
-from tools.baselines.native import native_graph, snapped
+from tools.baselines.native import NativeParams, native_graph, snapped
 from tools.bench.static.floor import edge_peaks, least_maxima
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
-MODES: dict[str, Callable[[ElevationGrid, tuple[float, float], GraphParams, int], TraversalGraph]] = {
+MODES: dict[str, Callable[[ElevationGrid, tuple[float, float], NativeParams, int], TraversalGraph]] = {
     "native": native_graph,
     "corrected": TraversalGraph.build,
 }
@@ -79,7 +79,7 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
         for mode in MODES:
             for seed in range(seeds):
                 try:
-                    graph = MODES[mode](grid, scene.start[:2], GraphParams(), seed)
+                    graph = MODES[mode](grid, scene.start[:2], NativeParams(), seed)
                 except NoRoute as none:
                     missing += [f"{name}, {mode}, seed {seed}, pair {k}: {none}" for k in range(pairs)]
                     continue

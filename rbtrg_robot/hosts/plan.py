@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tempfile
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from hal.rotation import wrap
 from hal.safety.geofence import Fence
 from hal.scenes import SceneError, load_scene, scene_names
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
@@ -38,6 +40,10 @@ FEATURES = {  # in the order of the body's scales
     "p_int": "ground that comes near the body",
 }
 UNITS = {"d_fb": "m", "a_lr": "deg", "p_int": "m"}
+STARTS_TRIED, HEADINGS_TRIED = 20, 8
+"""Places, and headings at each, before no other start is named."""
+START_SPACING = 0.5
+"""Of these places [m]."""
 PATH_COLOUR, BEST, WORST = (255, 170, 40), (80, 200, 120), (235, 60, 60)
 
 
@@ -70,10 +76,10 @@ class Route:
         """One line for people."""
         if not self.ok:
             return f"no route ({self.reason}): {self.detail}"
-        end = "" if self.reaches_goal else ", to a frontier: the goal is not on known ground"
+        end = "" if self.reaches_goal else ", to a frontier: over known ground there is no way to the goal"
         worst = self.worst
         why = (
-            f"; most body risk at ({worst['x']:.2f}, {worst['y']:.2f}): {worst['why']}, {worst['body']:.2f}"
+            f"; most body risk, {worst['body']:.2f}, at ({worst['x']:.2f}, {worst['y']:.2f}): {worst['why']}"
             if worst
             else ""
         )
@@ -109,14 +115,15 @@ class MapPlanner:
                 f"{ground if isinstance(ground, str) else 'the grid'} holds no ground to plan on"
             )
         self._terrain: MapGraph | None = None
-        low = np.min([patch.origin for patch in self._patches], axis=0)
-        high = np.max(
+        self._known = np.vstack(
             [
-                np.add(p.origin, np.multiply(p.layers["elevation"].shape[::-1], p.resolution))
-                for p in self._patches
-            ],
-            axis=0,
+                patch.resolution * np.argwhere(np.isfinite(patch.layers["elevation"]))[:, ::-1] + patch.origin
+                for patch in self._patches
+            ]
         )
+        """(n, 2) x, y [m] of the cells."""
+        half = 0.5 * config.elevation.resolution
+        low, high = self._known.min(axis=0) - half, self._known.max(axis=0) + half
         self.extent: tuple[float, float, float, float] = (*map(float, low), *map(float, high))  # type: ignore[assignment]
         """x, y of the lowest and of the highest corner [m]."""
 
@@ -174,7 +181,8 @@ class MapPlanner:
             told = {
                 NoRouteReason.NO_TERRAIN: f"the map knows no ground around {where}",
                 NoRouteReason.START_NOT_ON_GRAPH: f"no straight move leads from {where} to drivable ground",
-            }.get(error.reason, str(error))
+            }.get(error.reason)
+            told = str(error) if told is None else f"{told}: {self._other_start(terrain, ways, asked)}"
             return Route(False, REASONS[error.reason].value, told)
         return self._route(way, terrain)
 
@@ -198,6 +206,29 @@ class MapPlanner:
             worst=_worst(told, terrain.body),
             path=list(zip(*(x.tolist() for x in (told.x, told.y, told.z, told.yaw)), strict=True)),
         )
+
+    def _other_start(self, terrain: MapGraph, ways: WaySearch, asked: msg.PlanRequest) -> str:
+        """What to ask instead of a start that leads nowhere: another heading there, or a place near it with a way."""
+        start, yaw = (asked.start_x, asked.start_y), asked.start_yaw
+        for place in (start, *_apart(self._known, start)):
+            terrain.graph = None  # a graph has what is reached from where it began
+            terrain.sync(place)
+            if terrain.graph is None:
+                continue
+            for x, y in (place, *_apart(terrain.graph.nodes[:, :2], start)[:1]):
+                for turn in np.linspace(0.0, 2.0 * math.pi, HEADINGS_TRIED, endpoint=False).tolist():
+                    heading = wrap(yaw + turn)
+                    asked = dataclasses.replace(asked, start_x=x, start_y=y, start_yaw=heading)
+                    try:
+                        found = ways.find(terrain, asked, None, 0).plan.reaches_goal
+                    except PlanningError as error:
+                        if isinstance(error, NoRoute) and error.reason is NoRouteReason.START_NOT_ON_GRAPH:
+                            continue
+                        break
+                    if found:
+                        return f"START {x:.2f},{y:.2f},{math.degrees(heading):.0f} has a way"
+                    break
+        return "no place near it has a way to the goal, either"
 
     def _chance(self, told: msg.RouteReport) -> str:
         accepted = self.config.planner.accept_risk
@@ -235,6 +266,13 @@ class MapPlanner:
             view.label(route.worst["x"], route.worst["y"], "worst")
         view.disc(*self._asked, WHITE, 5)
         return view.image()
+
+
+def _apart(places: NDArray[np.floating], near: tuple[float, float]) -> list[tuple[float, float]]:
+    """Some of places (n, 2), `START_SPACING` apart about, the nearest first."""
+    order = np.argsort(np.linalg.norm(places - near, axis=1))
+    _, first = np.unique(np.floor(places[order] / START_SPACING), axis=0, return_index=True)
+    return [(float(x), float(y)) for x, y in places[order[np.sort(first)[:STARTS_TRIED]]]]
 
 
 def map_of(ground: str | ElevationGrid, config: StackConfig) -> tuple[ElevationMap, str]:

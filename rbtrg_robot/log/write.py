@@ -24,7 +24,7 @@ from mcap.writer import CompressionType, Writer
 
 from rbtrg_robot import __version__, msg
 from rbtrg_robot.log.packed import pack
-from rbtrg_robot.log.read import METADATA, Entry, LogContents, LogError, read_log
+from rbtrg_robot.log.read import METADATA, Entry, LogContents, LogError, log_files, read_log
 from rbtrg_robot.topics import SWEEPS, Qos, Topic
 from rbtrg_robot.wire.messages import definition, type_hash
 
@@ -214,9 +214,13 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     """Write what can be read of `path` to a new, indexed file. (messages, damage found). Raises LogError."""
     if out.exists():
         raise LogError(f"{out} exists; name another file with --out")
+    if path.is_dir():
+        raise LogError(f"{path} is a folder: recover one of its files, as in {log_files(path)[-1]}")
     contents = LogContents()
     records = read_log(path, contents, raw=True)
     first = next(records, None)  # of our files, metadata and attachments stand before the first message
+    if first is None and contents.damage:
+        raise LogError(f"{path} ends within its first messages: nothing can be recovered ({contents.damage})")
     told = dict(contents.metadata)
     with LogWriter(out, told.get(METADATA, {}), contents.attachments) as writer:
         for record in chain([first] if first else [], records):

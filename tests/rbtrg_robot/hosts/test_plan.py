@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,14 @@ def test_what_cannot_be_planned_is_told_with_its_reason(planner: MapPlanner) -> 
     assert walled.reason == "start_not_on_graph"
     assert "the start (4, 1)" in walled.detail
     assert "robot" not in walled.detail, "there is none"
+    named = re.search(r"START ([-\d.]+),([-\d.]+),([-\d.]+) has a way$", walled.detail)
+    assert named is not None, walled.detail
+    x, y, yaw = map(float, named.groups())
+    assert math.dist((x, y), (4.0, 1.0)) < 2.0
+    assert planner.plan((x, y), (6.0, 2.0), math.radians(yaw)).reaches_goal
+    assert "reaches from (-0.02, -0.02)" in planner.plan((-1.0, 2.0), (6.0, 2.0)).detail, (
+        "as far as it is known"
+    )
     blocked = planner.plan((2.0, 2.0), (4.0, 1.0))
     assert (blocked.ok, blocked.reason) == (False, "goal_in_obstacle")
 

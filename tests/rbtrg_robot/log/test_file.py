@@ -154,6 +154,16 @@ def test_recover_never_overwrites(tmp_path: Path) -> None:
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
 
 
+def test_recover_says_why_nothing_comes_of_it(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap")
+    with pytest.raises(LogError, match=r"a folder: recover one of its files, as in .*a\.mcap"):
+        recover(tmp_path, tmp_path / "b.mcap")
+    (tmp_path / "a.mcap").write_bytes((tmp_path / "a.mcap").read_bytes()[:800])
+    with pytest.raises(LogError, match="ends within its first messages"):
+        recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
 def test_pictures_that_the_recorder_left_out_or_added_late_are_no_loss(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with LogWriter(path, {}, {}) as writer:

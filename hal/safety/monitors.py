@@ -502,6 +502,19 @@ SCANS_SCALE = Monitor(
     against="wheels",
     test="mapping/odometry/test_inputs_that_lie.py",
 )
+SCANS_MIRRORED = Monitor(
+    "scans mirrored",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.LOST,
+    "odometry",
+    "the robot turned by {gyro:.0f} deg by the gyro, the scans turned by {scans:.0f} deg the other way: the {name} LiDAR tells left for right, or the gyro's z axis is reversed",
+    "mend the axes in the LiDAR's driver or in that of the IMU, and restart the stack",
+    low=-0.3,
+    unit="of the gyro's turn over 8 deg",
+    against="IMU",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
 MOVED_WHILE_STILL = Monitor(
     "moved_while_still",
     "LiDAR",

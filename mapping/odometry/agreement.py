@@ -8,8 +8,8 @@ from collections import deque
 import numpy as np
 
 from hal.rotation import rotation_vector, wrap
-from hal.safety.monitors import SCANS_SCALE, Monitor
-from hal.types import NS, Array
+from hal.safety.monitors import SCANS_MIRRORED, SCANS_SCALE, Monitor
+from hal.types import NS, Array, LidarName
 
 WINDOW = NS
 """Time that is looked at [ns]."""
@@ -25,6 +25,12 @@ LEVEL_COSINE = math.cos(math.radians(5.0))
 """Least cosine of the tilt all along it: on stairs all wheels roll up each riser, which is no way ahead."""
 HELD_SHARE = 0.25
 """Share of the way of the wheels below which something holds the robot, and all of them spin: that tells no unit."""
+JUDGED_TURN, LEAST_TURN = math.radians(8.0), math.radians(0.3)
+"""[rad] by the gyro over which the side of the scans is judged, and from one sweep to the next to count in it."""
+TURN_TOLD = math.radians(1.0)
+"""A scan whose heading has a larger standard deviation [rad] tells no side."""
+FOUND_ELSEWHERE = -1.5
+"""Share of it over which scans turn the other way no mirror does: the robot was looked for, and found elsewhere."""
 
 
 def way_ahead(before: Array, after: Array) -> float:
@@ -117,3 +123,44 @@ class Scale:
     def forget(self) -> None:
         """Break the comparison: the robot was found elsewhere."""
         self._steps.clear()
+
+
+class Handedness:
+    """The turn of the scans beside that of the gyro: sweeps that tell left for right fit their own map, and turn the
+    other way. No LiDAR changes sides on the way, so one that was right once is not asked again."""
+
+    def __init__(self) -> None:
+        self._name: LidarName = "main"
+        """Of the LiDAR that told the last pose."""
+        self._right: set[LidarName] = set()
+        self._last: Array | None = None
+        """(4, 4) where the scan before fitted."""
+        self._turns: deque[tuple[float, float]] = deque()
+        """Of each step [rad]: size of the turn by the gyro, and turn of the scans to that side."""
+        self.words = ""
+        """That they turn the other way, for good; else empty."""
+
+    def add(self, name: LidarName, pose: Array, turned: float) -> None:
+        """The scan fits at `pose` (4, 4). The gyro turned by `turned` [rad] since the scan before."""
+        if name != self._name:
+            self.forget()
+            self._turns.clear()
+            self._name = name
+        last, self._last = self._last, pose
+        if name in self._right or last is None or abs(turned) < LEAST_TURN:
+            return
+        turn = float(rotation_vector(last[:3, :3].T @ pose[:3, :3])[2])
+        self._turns.append((abs(turned), math.copysign(1.0, turned) * turn))
+        gyro, scans = (math.fsum(turns) for turns in zip(*self._turns, strict=True))
+        if gyro < JUDGED_TURN:
+            return
+        if SCANS_MIRRORED.outside(scans / gyro) and scans > FOUND_ELSEWHERE * gyro:
+            turns = math.degrees(gyro), math.degrees(-scans)
+            self.words = SCANS_MIRRORED.tell(name=name, gyro=turns[0], scans=turns[1])
+        if scans > AGREED_SHARE * gyro:
+            self._right.add(name)
+        self._turns.popleft()
+
+    def forget(self) -> None:
+        """The turn to the next scan counts for nothing: no scan came, or it fits nowhere surely."""
+        self._last = None

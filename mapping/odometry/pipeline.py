@@ -27,7 +27,7 @@ from hal.robots import describe
 from hal.rotation import rotation_vector
 from hal.safety.monitors import IMPOSSIBLE_SPEED, IMU_DISAGREES, SCANS_DISAGREE
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
-from mapping.odometry.agreement import Agreement, Scale, way_ahead
+from mapping.odometry.agreement import TURN_TOLD, Agreement, Handedness, Scale, way_ahead
 from mapping.odometry.calibration import TURNING_RATE, Calibration
 from mapping.odometry.contacts import contacts_of
 from mapping.odometry.deskew import Deskewer
@@ -102,6 +102,7 @@ class LidarInertialOdometry:
         self._scale = WheelScale()
         self._agreement = Agreement(SCANS_DISAGREE)
         self._distances = Scale()
+        self._sides = Handedness()
         self._coasting = Agreement(IMU_DISAGREES)
         """IMU and wheels since the last scan that was used."""
         self._rolled, self._turned = math.nan, 0.0
@@ -207,6 +208,11 @@ class LidarInertialOdometry:
         )
         if verdict.use:
             self._coasting.forget()
+        heading = scans and verdict.covariance[5, 5] < TURN_TOLD**2
+        if heading and self._monitor.fits_again(match, True, True):
+            self._sides.add(sweep.name, match.pose, self._turned)
+        else:
+            self._sides.forget()
         if verdict.use and scans:
             measured = _rotation_to_body(verdict.covariance, match.pose)
             # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
@@ -372,7 +378,7 @@ class LidarInertialOdometry:
         speed = float(np.linalg.norm(state.x[3:6]))
         gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))
         fast = max(gained / LARGEST_GAIN, abs(state.x[5]) / FALL_SPEED if touching else 0.0)
-        self._untrue = self._inbox.dead("imu")
+        self._untrue = self._inbox.dead("imu") or self._sides.words
         cannot_be = IMPOSSIBLE_SPEED.tell(speed=speed) if IMPOSSIBLE_SPEED.outside(fast) else ""
         if not self._untrue:
             apart = self._coasting.add(end, before, state.pose(), self._each * scale, self._turned)
@@ -414,6 +420,7 @@ class LidarInertialOdometry:
         return self._dead_reckoned("no scan", *self._inbox.refused())
 
     def _dead_reckoned(self, *reasons: str) -> ScanOdometry:
+        self._sides.forget()
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         stamp, inbox = self._filter.stamp, self._inbox

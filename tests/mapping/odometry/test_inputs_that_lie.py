@@ -13,8 +13,8 @@ from hal.lidar import LIDARS
 from hal.rotation import rotation_vector
 from hal.safety import monitors
 from hal.safety.monitors import Monitor, taken_out
-from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
-from mapping.odometry.agreement import Scale
+from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarName, LidarScan, Sample
+from mapping.odometry.agreement import Handedness, Scale
 from mapping.odometry.health import Health
 from mapping.odometry.repeats import Repeats
 from tests.mapping.odometry.test_pipeline import Driven, error
@@ -152,6 +152,51 @@ def test_distances_in_another_unit_are_told(recorded: tuple[SyntheticRun, list[S
         out = Driven(wrong)
         assert error(run, out.scans, 0, -1)[0] > 0.5
         assert out.scans[-1].place_sigma < 0.1
+
+
+def test_a_lidar_that_tells_left_for_right_is_lost_by_name(
+    recorded: tuple[SyntheticRun, list[Sample]],
+) -> None:
+    def mirrored(scan: LidarScan) -> LidarScan:
+        points = scan.points.copy()
+        points["y"] *= -1.0
+        return replace(scan, points=points)
+
+    samples = recorded[1]
+    wrong = [mirrored(s) if isinstance(s, LidarScan) else s for s in samples]
+    told = [s.reason for s in Driven(wrong).scans if s.health is Health.LOST]
+    assert told
+    assert all("the main LiDAR tells left for right" in reason for reason in told)
+    with taken_out(monitors.SCANS_MIRRORED.name):
+        assert not any("left for right" in s.reason for s in Driven(wrong).scans)
+    assert not any("left for right" in s.reason for s in Driven(samples).scans)
+
+
+def test_scans_that_once_turned_as_the_gyro_did_are_not_asked_again() -> None:
+    """Nor are turns that only one of the two tells a mirror: people who walk past, a turntable."""
+    side = Handedness()
+
+    def turn(gyro: float, scans: float, times: int, name: LidarName = "main") -> str:
+        yaw = 0.0
+        for _ in range(times):
+            yaw += scans
+            c, s = np.cos(yaw), np.sin(yaw)
+            pose = np.eye(4)
+            pose[:2, :2] = [[c, -s], [s, c]]
+            side.add(name, pose, gyro)
+        side.forget()
+        return side.words
+
+    assert not turn(0.05, 0.0, 20)
+    assert not turn(0.0, -0.05, 20)
+    assert not turn(-0.05, -0.05, 20)
+    assert not turn(0.05, -0.05, 20)
+    assert "the head LiDAR" in turn(0.05, -0.05, 20, "head")
+    side = Handedness()
+    assert not turn(0.15, -0.5, 20), "it was found elsewhere"
+    side = Handedness()
+    for _ in range(20):
+        assert not turn(0.05, -0.05, 1), "a scan that fits after a gap tells no turn"
 
 
 def test_wheels_that_all_spin_at_a_face_tell_no_unit() -> None:

@@ -20,6 +20,7 @@ from hal.safety.monitors import (
     LIDAR_REPEATS,
     MOVED_WHILE_STILL,
     SCANS_DISAGREE,
+    SCANS_MIRRORED,
     SCANS_SCALE,
 )
 from hal.types import NS, ImuSample, JointSample, LidarScan, Sample
@@ -27,7 +28,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from tools.bench.faults.fault import Fault, Outcome
-from tools.bench.faults.watch import Watch, tap
+from tools.bench.faults.watch import Watch, by_hand, tap
 
 GOAL_DISTANCE = 4.0
 """Of the goal [m], straight ahead."""
@@ -164,6 +165,15 @@ def _upside_down(axis: float, seed: int) -> Outcome:
     return _at_rest(_scaled(x, -x, -1.0, ("main",)), seed)
 
 
+def _mirrored(rate: float, seed: int) -> Outcome:
+    """The main LiDAR tells left for right, and somebody turns the robot by hand at `rate` [rad/s]."""
+    stack = _from_the_start(_scaled(1.0, -1.0, 1.0, ("main",)), seed)
+    stack.wait_ready()
+    with Watch(stack) as watch:
+        by_hand(stack, 0.0, rate if seed % 2 else -rate, WATCHED_AFTER)
+        return watch.outcome()
+
+
 def _at_rest(change: Change, seed: int) -> Outcome:
     """A robot that is started with such LiDARs is sent to a goal."""
     stack = _from_the_start(change, seed)
@@ -266,6 +276,10 @@ FAULTS = (
     Fault(
         "LiDAR upside down", (GROUND_HEIGHT,), (0.0, 1.0), _upside_down, error=0.05,
         says=("m above itself, by the legs", "the head LiDAR takes its place"),
+    ),
+    Fault(
+        "LiDAR mirrored", (SCANS_MIRRORED,), (0.3, 0.8), _mirrored, rest=2.0, error=0.05,
+        says=("tells left for right",),
     ),
     Fault(  # slip on steps comes to 0.23 m in a metre: less than 0.3 is not told; then three sweeps at 0.5 m/s
         "LiDAR in another unit", (SCANS_SCALE,), (1.6, 0.68), _other_unit, error=0.45,

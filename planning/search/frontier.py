@@ -112,13 +112,19 @@ def _dark(grid: ElevationGrid, place: tuple[float, float]) -> float:
 def frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
     """(n,) nodes beside ground that no ray came to, away from node `start` and from where the robot looked already;
     where there are none, those beside virtual ground."""
+    left = untried(graph, start, request)
+    dark = graph.frontier & left
+    # Places of one query are none: the graph did not find them worth standing at.
+    return dark if dark.any() else beside_virtual(graph) & (graph.node_ids >= 0) & left
+
+
+def untried(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
+    """(n,) nodes away from node `start` and from where the robot looked already."""
     nodes = graph.nodes[:, :2]
     left = np.ones(len(nodes), np.bool_)
     for x, y, radius in ((*nodes[start].tolist(), LOOKED_FROM), *request.tried):
         left &= np.hypot(nodes[:, 0] - x, nodes[:, 1] - y) > radius
-    dark = graph.frontier & left
-    # Places of one query are none: the graph did not find them worth standing at.
-    return dark if dark.any() else beside_virtual(graph) & (graph.node_ids >= 0) & left
+    return left
 
 
 def with_hysteresis(

@@ -16,10 +16,10 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, unseen_price, weights_of
 from planning.risk.cost import Weights
 from planning.risk.table import RiskTable
-from planning.search.attach import NEAREST_NODES, Spot
+from planning.search.attach import Spot
 from planning.search.endpoints import Endpoints, endpoints, places_ahead, position
 from planning.search.explain import Route, describe
-from planning.search.frontier import frontiers, with_hysteresis, worth_keeping
+from planning.search.frontier import frontiers, untried, with_hysteresis, worth_keeping
 from planning.search.guarded import without
 from planning.search.keep import kept
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
@@ -178,9 +178,20 @@ def _to_frontier(
     ground = open_ground(at.table.grid, goal)
     if alone and not np.isfinite(way_to_go(at.table.grid, nodes, goal, nodes, ground=ground)[ends]).any():
         return None
-    price = unseen_price(at.table.body)
     way = way_to_go(at.table.grid, nodes, goal, fields=fields_of(graph), ground=ground)
-    ends &= np.isfinite(way)
+    return _nearer(at, request, start_yaw, goal, ends & np.isfinite(way), way)
+
+
+def _nearer(
+    at: Endpoints,
+    request: PlanRequest,
+    start_yaw: float,
+    goal: tuple[float, float],
+    ends: NDArray[np.bool_],
+    way: NDArray[np.float64],
+) -> Plan | None:
+    """The plan to one of the `ends` (n,) with the least cost so far plus way to go, `way` (n,) [m]."""
+    price, nodes = unseen_price(at.table.body), at.table.graph.nodes
     way = np.where(ends, way, 0.0)
     left = price * with_hysteresis(nodes, way, goal, request.previous_frontier)
     best = _search(at, request, ends, left, goal, start_yaw, np.nan)
@@ -195,24 +206,17 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
     """The plan towards a seen goal that nothing leads to: what blocks it from afar may be the map's error.
 
     Towards is along the way that walls leave open, so that the robot comes to what blocks it, not to the wall that the
-    goal lies behind. From near it is judged: there the plan ends for good.
+    goal lies behind. From near it is judged: where the robot was already it does not go again, and where no place is
+    left the plan ends for good.
     """
-    nodes = at.table.graph.nodes[:, :2]
-    goal = position(at.table.graph, request.goal, "goal")
-    to_go = way_to_go(at.table.grid, nodes, goal, fields=fields_of(at.table.graph))
-    nearest = np.argsort(to_go, kind="stable")[
-        :NEAREST_NODES
-    ].tolist()  # one that no way leads from is not nearer
-    for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER_GOAL), at.start]:
-        ends = np.arange(len(nodes)) == node
-        x, y = nodes[node].tolist()
-        found = _search(at, request, ends, np.zeros(len(nodes)), (x, y), start_yaw, np.nan)
-        if found is None:
-            continue
-        if node == at.start:
-            return replace(found, short=float(to_go[node]))
-        return replace(found, reaches_goal=False, frontier=(x, y), to_go=float(to_go[node]))
-    return None
+    graph = at.table.graph
+    goal = position(graph, request.goal, "goal")
+    way = way_to_go(at.table.grid, graph.nodes, goal, fields=fields_of(graph))
+    ends = untried(graph, at.start, request) & (way < way[at.start] - NEARER_GOAL)
+    if (found := _nearer(at, request, start_yaw, goal, ends, way)) is not None:
+        return found
+    here = _to_goal(replace(at, goal=at.start), request, start_yaw, np.nan)
+    return None if here is None else replace(here, short=float(way[at.start]))
 
 
 def _search(

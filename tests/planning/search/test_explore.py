@@ -196,6 +196,32 @@ def test_frontiers_around_places_that_the_robot_looked_from_are_closed() -> None
     assert np.flatnonzero(frontiers(graph, start, request)).tolist() == [far]
 
 
+def test_towards_a_goal_that_nothing_leads_to_the_robot_keeps_to_one_side_and_goes_nowhere_twice() -> None:
+    # Around a trench robots turned from the way along its left to that along its right, and back, for a minute.
+    grid = flat(6.0, 5.0)
+    y, x = np.mgrid[0 : grid.shape[0], 0 : grid.shape[1]] * grid.resolution
+    ring = np.abs(np.maximum(np.abs(x - 3.5), np.abs(y - 2.5)) - 0.9) < 0.08
+    grid.height[ring] = np.where(np.abs(x - 3.5) < 0.4, 0.24, 0.5)[
+        ring
+    ]  # two sides look as if they may be crossed
+    graph = TraversalGraph.build(grid, (1.0, 2.5), GraphParams(blind_radius=0.0))
+    graph.frontier[:] = False
+    request = PlanRequest((1.0, 2.5), (3.5, 2.5), 0.0, allow_frontier=True)
+    sides = (3.5, 3.9), (3.5, 1.1)
+
+    def end(request: PlanRequest) -> tuple[float, float]:
+        found = plan(graph, grid, request)
+        assert not found.reaches_goal
+        assert found.frontier is not None
+        return found.frontier
+
+    for here, there in (sides, sides[::-1]):
+        assert math.dist(end(replace(request, previous_frontier=here)), here) < 0.6
+        assert math.dist(end(replace(request, tried=((*there, 1.0),))), here) < 0.6
+    tried = tuple((*side, 1.0) for side in sides)
+    assert min(math.dist(end(replace(request, tried=tried)), side) for side in sides) > 1.0
+
+
 def test_a_frontier_that_the_robot_does_not_come_nearer_to_is_given_up_however_the_samples_change() -> None:
     grid = flat(6.0, 4.0)
     tried = Tried()

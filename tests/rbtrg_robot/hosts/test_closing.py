@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from hal.rotation import quaternion, wrap
+from hal.safety.geofence import Fence
 from hal.scenes import Scene
 from hal.types import NS
 from mapping.closing.graph import levelled
@@ -24,6 +25,7 @@ from mapping.elevation.map import ElevationMap
 from mapping.odometry.types import Health, ScanOdometry
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.areas import fence_of, ground_area
 from rbtrg_robot.cli.close import closed
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -38,6 +40,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, as_prior, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.frames import GLIDE_SPEEDS, MapFrame, Planar, laid
 from rbtrg_robot.wire.messages import decode, header, time_msg
+from tests.hal.safety.test_geofence import deepest, rim
 from tests.rbtrg_robot.hosts.test_initial_pose import planar
 from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
 
@@ -99,6 +102,22 @@ class Heard:
         )
 
 
+class Inside:
+    """How deep a side of an area came under the robot where `map` has it [m], by the truth."""
+
+    def __init__(self, stack: Lockstep, heard: Heard, fence: Fence) -> None:
+        self._heard, self._rim = heard, rim(fence)
+        self._first = heard.offsets[0][1]
+        self.deepest = -math.inf
+        stack.host.listen(self._note, {t.TRUTH})
+
+    def _note(self, _topic: Topic, payload: bytes, _now: int) -> None:
+        x, y, yaw = planar(decode(payload, t.TRUTH.kind))
+        now = self._heard.offsets[-1][1]
+        shifted = x + now[0] - self._first[0], y + now[1] - self._first[1], yaw
+        self.deepest = max(self.deepest, deepest(self._rim, *shifted))
+
+
 def heights(patch: MapPatch) -> dict[tuple[int, int], float]:
     """Of the trusted cells, by row and column."""
     rows, cols = np.nonzero(patch.layers["trusted"] > 0)
@@ -114,7 +133,7 @@ def alike(a: MapPatch, b: MapPatch) -> float:
     return float((np.abs(off) < 0.05).mean())
 
 
-def test_the_robot_glides_in_the_map_while_it_drives_and_its_goal_stays_where_it_is() -> None:
+def test_the_robot_glides_in_the_map_while_it_drives_and_goal_and_areas_stay_where_they_are() -> None:
     with Lockstep(load(None, ["sim.lidar_step=8"], scene="yard")) as stack:
         heard = Heard(stack)
         stack.wait_ready()
@@ -129,6 +148,12 @@ def test_the_robot_glides_in_the_map_while_it_drives_and_its_goal_stays_where_it
         stack.host.inject(t.MAP_PRIOR, prior)
         stack.run(1.0)
         assert stack.newest[t.MAP_STATUS].location == "closing"
+        corners = [
+            (home[0] + dx, home[1] + dy) for dx, dy in ((3.4, -0.5), (3.9, -0.5), (3.9, 0.5), (3.4, 0.5))
+        ]
+        pond = ground_area("pond", corners, keep_out=True)
+        stack.host.inject(t.AREAS_REQUEST, msg.Areas(header=header(stack.now, MAP), id="pond", areas=[pond]))
+        inside = Inside(stack, heard, fence_of([pond]))
         stack.run_until(lambda: stack.newest[t.MAP_STATUS].location == "located", 40.0, "the closed map")
         now = stack.newest[t.MAP_STATUS]
         assert (now.prior, now.epoch) == (prior.id, before.epoch)
@@ -154,6 +179,13 @@ def test_the_robot_glides_in_the_map_while_it_drives_and_its_goal_stays_where_it
             "the goal stays where it is in the map"
         )
         assert alike(heard.whole(), map_patch(prior.map[0], 0)) > 0.97
+        assert inside.deepest < 0.0, "it drove around the area where that lies in the map"
+        (told_area,) = stack.newest[t.AREAS].areas
+        assert told_area.corners.tolist() == pond.corners.tolist()
+        stack.send_goal(home[0] + 3.65, home[1])
+        stack.run(0.5)
+        status = stack.newest[t.GOAL_STATUS]
+        assert (status.state, status.reason) == ("rejected", "keep_out_area")
 
         # while it stands it is there at once, and the map with it
         prior = replace(heard.closed(), id="sha256:fedcba9876543210")

@@ -16,6 +16,7 @@ from planning.graph.flags import ASSUMED, PLANTS, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.params import GraphParams
 from planning.path.types import Path
+from planning.search.attach import STAND_MARGIN
 from planning.search.guarded import drives_over, known_around
 
 WHEEL_LEAD = -0.06
@@ -37,9 +38,6 @@ TURN_DRIFT = 0.07
 beside a pit that nobody saw, and fell."""
 BEND_BEGINS = 0.3
 """[rad] A robot whose heading is off by less begins with a bend: the tracker turns from 0.35 on."""
-STAND_MARGIN = (0.04, 0.05)
-"""[m] beyond the axle and beside the body that count as seen at the start: its wheels stand there. What lies under its
-nose does not."""
 
 
 def confirmed(
@@ -116,15 +114,15 @@ def _hidden(
     graph: TraversalGraph,
     width: float,
 ) -> NDArray[np.bool_]:
-    """Whether the ground at places [m] is virtual and not under a robot that looks at `yaw` [rad] at the begin of the
-    path."""
+    """Whether the ground at places [m] is virtual and not under the wheels of a robot that looks at `yaw` [rad] at the
+    begin of the path. What lies under its nose counts."""
     cells = graph.cells
     assert cells is not None
     virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
     c, s = math.cos(yaw), math.sin(yaw)
     dx, dy = x - path.points[0, 0], y - path.points[0, 1]
-    under = (np.abs(c * dx + s * dy) <= graph.params.axle + STAND_MARGIN[0]) & (
-        np.abs(c * dy - s * dx) <= width / 2 + STAND_MARGIN[1]
+    under = (np.abs(c * dx + s * dy) <= graph.params.axle + STAND_MARGIN) & (
+        np.abs(c * dy - s * dx) <= width / 2 + STAND_MARGIN
     )
     return at_places(virtual, x, y, cells.origin, cells.res) & ~under
 

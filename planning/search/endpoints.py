@@ -17,9 +17,6 @@ from planning.risk.table import RiskTable
 from planning.search.attach import SAME_PLACE, Ground, Spot, attached, dear_to_turn
 from planning.search.request import Place, PlanRequest
 
-_GOAL_DISC = 0.30
-"""Radius [m] of the ground around a goal that tells whether the goal is an obstacle or was never seen."""
-
 
 @dataclass(slots=True)
 class Endpoints:
@@ -188,7 +185,7 @@ def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], 
     rest."""
     where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
     p = graph.params
-    ground = ground_at(grid, xy, p.max_step, _GOAL_DISC, p.min_coverage)
+    ground = ground_at(grid, xy, p.max_step, p.robot_size, p.min_coverage)
     inside = ground_at(grid, xy, max(OBSTACLE_FACE, p.max_step), 0.5 * p.width, p.min_coverage)
     if ground == inside == "blocked":
         raise NoRoute(

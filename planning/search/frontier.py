@@ -37,8 +37,6 @@ NEARER_WAY = 0.1
 """[m] of the way to it."""
 LONGEST_PAUSE = 2.0
 """[s] between two plans, at most, that count: the goal may have been paused."""
-BEGINS_WITHIN = 0.4
-"""[m] ahead of a body at a node virtual ground begins, or it is not looked at from there."""
 
 
 @dataclass(slots=True)
@@ -147,13 +145,14 @@ def worth_keeping(kept: float, best: float) -> bool:
 
 
 def beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
-    """(n,) nodes from whose surroundings virtual ground begins: what lies behind a wall does not."""
+    """(n,) nodes before whose body, within a ring of the graph, virtual ground begins: what lies behind a wall does
+    not."""
     c = graph.cells
     if c is None:
         return np.zeros(len(graph.nodes), np.bool_)
     clear = 0.5 * graph.params.length
     points = np.ascontiguousarray(graph.nodes[:, :2])
-    return virtual_around(c.flags, *c.origin, c.res, points, clear, clear + BEGINS_WITHIN)
+    return virtual_around(c.flags, *c.origin, c.res, points, clear, clear + graph.params.expand_dist)
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
-from planning.search.frontier import beside_virtual
+from planning.search.frontier import beside_virtual, worth_keeping
 from planning.search.sight import Sight
 
 Array = NDArray[np.float64]
@@ -32,8 +32,6 @@ BARRED_RADIUS = 0.75
 """[m] around a place given up there is no other one."""
 SAME_VIEWPOINT = 1.5
 """[m] The place driven to moves on as ground is seen: the nearest one within this distance of it is the same."""
-SWITCH_SHARE, SWITCH_LEAST = 0.1, 1.0
-"""Another place comes first only where the whole way is shorter by this share and by this much [m]."""
 BESIDE_GRAPH = 1.0
 """[m] A robot farther than this from every node stands on no graph."""
 
@@ -166,7 +164,7 @@ def _ordered(first: Array, between: Array, last: Array, kept: int) -> NDArray[np
     if kept >= 0 and order[0] != kept:
         other = _tour(first, between, last, kept)
         best, same = _length(order, first, between, last), _length(other, first, between, last)
-        if same - best < max(SWITCH_LEAST, SWITCH_SHARE * best):
+        if worth_keeping(same, best):
             order = other
     return np.asarray(order)
 

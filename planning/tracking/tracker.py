@@ -38,8 +38,6 @@ _TURN_LEAST = 0.05
 _CREEP_YAW_ACCEL = 0.5
 """[rad/s^2] at most on a path that is crept: at 2.5 the forces of a bend that begins felt like an edge, on level ground
 in 18 of 18 simulated drives, at 1.0 and less in none."""
-_ROCK_DISTANCE = 0.08
-"""How far from the goal it drives back and forth while it turns [m]."""
 
 
 class PathTracker:
@@ -293,16 +291,17 @@ class PathTracker:
     def _rocking(self, now: int, left: float, ahead: float) -> float:
         """Speed [m/s] while `left` [rad] remain to turn, `ahead` [m] of the goal: 0 while it turns near the goal.
 
-        What wandered off is driven back. A wheel that an edge or a slope holds comes free when it rolls: first
-        backward, where the robot came from.
+        It keeps within the tolerance: what wandered off is driven back. A wheel that an edge or a slope holds comes
+        free when it rolls: first backward, where the robot came from.
         """
+        near = 0.8 * self.params.goal_tolerance
         if left < self._turn_left - _TURN_LEAST or self._turn_left == math.inf:
             self._turn_left, self._turn_gained = left, now
         if self._rock == 0.0 and now - self._turn_gained > TURN_PATIENCE * 1e9:
             self._rock = -self.params.min_speed
-        if self._rock * ahead > _ROCK_DISTANCE * abs(self._rock):
+        if self._rock * ahead > near * abs(self._rock):
             self._rock = -self._rock
-        if self._rock == 0.0 and abs(ahead) > _ROCK_DISTANCE:
+        if self._rock == 0.0 and abs(ahead) > near:
             return -math.copysign(self.params.min_speed, ahead)
         return self._rock
 

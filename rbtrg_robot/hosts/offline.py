@@ -178,7 +178,7 @@ def fitting(log: Path, names: list[str], config: StackConfig) -> None:
     possible = [p.name for p in PROCESSES if p.hosted]
     for name in names:
         if name not in possible:
-            raise ConfigError(f"--rerun {name}: choose from {', '.join(possible)}")
+            raise ConfigError(f"no stage {name!r}: choose from {', '.join(possible)}")
     held = overview(log).topics
     ours = {
         topic

@@ -88,7 +88,11 @@ def of_run(log: Path, topic: str = "/odom") -> Trajectory:
         positions.append((p.x, p.y, p.z))
         orientations.append((q.x, q.y, q.z, q.w))
     if not stamps:
-        lead = f"; poses are on {', '.join(sorted(others))}: --topic" if others else ""
+        lead = (
+            f"; poses are on {', '.join(sorted(others))}: --topic"
+            if others
+            else f": `rbtrg-robot replay {log} --rerun odometry --out NEW.mcap` makes some"
+        )
         raise LogError(f"{log} holds no poses on {topic}{lead}")
     return of_poses(np.array(stamps, np.int64), np.array(positions), np.array(orientations), f"{log}")
 

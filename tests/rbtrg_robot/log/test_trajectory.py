@@ -82,6 +82,9 @@ def test_the_way_of_a_run_is_that_of_its_odometry(tmp_path: Path) -> None:
     np.testing.assert_allclose(way.poses[:, 0, 3], 0.1 * np.arange(5))
     with pytest.raises(LogError, match=r"no poses on /pose; poses are on /odom: --topic"):
         of_run(tmp_path, "/pose")
+    LogWriter(tmp_path / "empty.mcap", {}).close()
+    with pytest.raises(LogError, match=r"no poses on /odom: `rbtrg-robot replay .* --rerun odometry"):
+        of_run(tmp_path / "empty.mcap")
 
 
 def test_the_command_tells_programs_what_it_wrote(tmp_path: Path) -> None:

@@ -38,6 +38,9 @@ together."""
 LOST_MARGIN = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may
 have been lost."""
+DEAR_LEG = 10.0
+"""[m] A leg of a way that costs so much more than it is long, such as a turn over the edge of a kerb, is a reason as
+well."""
 WAYS_TRIED = 4
 """Tried, where they begin with ground that cannot be seen."""
 EDGE_LEFT = 1.5
@@ -190,8 +193,8 @@ class WaySearch:
     def _in_graphs(
         self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None
     ) -> tuple[Plan, Path]:
-        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, and where a way was lost,
-        other graphs are searched for one."""
+        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, where a way was lost, and
+        where a new one has a leg that is much dearer than long, other graphs are searched for one."""
         before, self._newest = self._newest, None
         found: tuple[Plan, Path] | None = None
         none = NoRoute(NoRouteReason.NO_ROUTE, "")
@@ -201,7 +204,7 @@ class WaySearch:
             none = error
             if none.reason is not NoRouteReason.NO_ROUTE:
                 raise
-        if found is None or _lost(before, found[0]):
+        if found is None or _lost(before, found[0]) or _dear(found[0]):
             kept = terrain.graph, terrain.table
             start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
             for _ in range(min(MOST_REDRAWS, max(AT_LEAST, WHOLE_CELLS // terrain.sampled))):
@@ -212,7 +215,7 @@ class WaySearch:
                     continue
                 if found is None or _lost(other[0], found[0]):
                     found, kept = other, (terrain.graph, terrain.table)
-                if not _lost(before, found[0]):
+                if not (_lost(before, found[0]) or _dear(found[0])):
                     break
             terrain.graph, terrain.table = kept
         if found is None:
@@ -255,3 +258,8 @@ def _lost(before: Plan | None, plan: Plan) -> bool:
     if before is None or before.reaches_goal is not plan.reaches_goal:
         return before is not None and before.reaches_goal
     return plan.worth > before.worth + LOST_MARGIN
+
+
+def _dear(plan: Plan) -> bool:
+    """Whether a plan that is not the way driven so far has a leg that costs much more than it is long."""
+    return not plan.kept and any(t.cost - t.length > DEAR_LEG for t in plan.transitions)

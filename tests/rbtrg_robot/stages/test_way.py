@@ -50,6 +50,30 @@ def test_a_way_that_was_lost_is_searched_in_other_graphs_before_another_is_drive
         assert stage._map.seed == drawn
 
 
+@pytest.mark.parametrize(("good", "drawn"), [(0, 0), (2, 2), (9, 0)])
+def test_a_new_way_with_a_leg_much_dearer_than_long_is_compared_with_those_of_other_graphs(
+    good: int, drawn: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a turn over the edge of a kerb is. The graph with the least cost stays."""
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch(np.zeros((75, 150))))
+    search, searched = MapGraph.search, []
+
+    def with_a_dear_leg(self: MapGraph, *args: Any) -> Plan:
+        found = search(self, *args)
+        searched.append(self.seed)
+        if self.seed >= good:
+            return found
+        leg = found.transitions[0]
+        legs = (replace(leg, cost=leg.cost + 20.0), *found.transitions[1:])
+        return replace(found, transitions=legs, cost=found.cost + 20.0 + self.seed)
+
+    monkeypatch.setattr(MapGraph, "search", with_a_dear_leg)
+    assert ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal
+    assert searched == list(range(min(good, MOST_REDRAWS) + 1))
+    assert stage._map.graph.seed == drawn
+
+
 def test_where_there_is_no_way_other_graphs_are_searched_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     stage = planner()
     stage.on(t.MAP_UPDATE, patch(np.zeros((75, 150))))

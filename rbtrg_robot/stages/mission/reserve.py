@@ -39,7 +39,8 @@ class Reserve:
         """State of charge [0..1] and pose in `map` at `now` [ns]."""
         if self._first is None or battery > self._now or now < self._time:  # charged; a clock that was reset
             self._first, self._told = (battery, now), battery
-        self._same_metres *= battery == self._now
+        if battery != self._now:
+            self._same_metres = 0.0
         self._now, self._time = battery, now
         step = 0.0 if self._pose is None else math.dist(pose[:2], self._pose[:2])
         drives = LEAST_MOVE <= step < SET_JUMP
@@ -85,11 +86,13 @@ class Reserve:
     def warning(self, way: float) -> str:
         """What is told ahead; empty while there is time."""
         left = self.left(way)
+        if short := self.short(way):
+            return short
         if self._same_metres * self.per_metre > STUCK_CHARGE:
             return (
                 f"the battery has told {100 * self._now:.0f} % for {self._same_metres:.0f} m of driving: it may be "
                 "stuck, and the robot would not come home for it"
             )
-        if left > self._home.told_ahead or self.short(way):
-            return self.short(way)
+        if left > self._home.told_ahead:
+            return ""
         return f"in {left:.0f} s the battery ({100 * self._now:.0f} %) will be needed for the way home of {way:.0f} m"

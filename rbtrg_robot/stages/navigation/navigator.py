@@ -100,7 +100,7 @@ class NavigatorStage:
         self._short = 0
         self._behaviours = self._afresh()
         self._order = PathOrder(step_vx)
-        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*AT_REST), Budget()
+        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(AT_REST), Budget()
         self._trail = Trail(length, width)
         self._slide = Slide()
         self._trouble = ""
@@ -178,7 +178,7 @@ class NavigatorStage:
         if self._behaviours.at_edge:
             self._trail.forget()
         self._behaviours = self._afresh()
-        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*AT_REST), Budget()
+        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(AT_REST), Budget()
         self._plan = None
         self._query.drop()
         self._missing_since, self._trouble, self._refused = 0, "", Reason.NONE

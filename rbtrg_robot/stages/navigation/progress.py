@@ -101,14 +101,9 @@ class Slide:
 class ProgressMonitor:
     """No progress for 5 s while it should drive = stuck; with other numbers: the robot is at rest."""
 
-    def __init__(
-        self,
-        seconds: float = NO_PROGRESS[0],
-        distance: float = NO_PROGRESS[1],
-        angle: float = NO_PROGRESS[2],
-    ) -> None:
-        """In `seconds` [s] less than `distance` [m] and `angle` [rad]."""
-        self._most = seconds, distance, angle
+    def __init__(self, most: tuple[float, float, float] = NO_PROGRESS) -> None:
+        """`most`: in so many seconds less than so many [m] and [rad]."""
+        self._most = most
         self._anchor: tuple[int, Pose2] | None = None
 
     def reset(self) -> None:

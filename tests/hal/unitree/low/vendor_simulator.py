@@ -15,6 +15,7 @@ import os
 import queue
 import runpy
 import sys
+import threading
 import time
 import types
 
@@ -52,8 +53,10 @@ ANSWERS, PATIENCE = 3, 0.02
 motor loop that is dead sends none."""
 TOLD_EVERY = 10
 """Steps between two lines of truth."""
+STARTS_WITHIN = 30.0
+"""[s]"""
 
-answers = queue.SimpleQueue()
+answers, stepped = queue.SimpleQueue(), threading.Event()
 step, subscribe, write = mujoco.mj_step, channel.ChannelSubscriber.Init, channel.ChannelPublisher.Write
 tell_state = None
 now = 0.0
@@ -97,6 +100,7 @@ def answered(model, data):
         pass
     step(model, data)
     now = data.time
+    stepped.set()
     while not answers.empty():
         answers.get()
     tell_state()
@@ -149,7 +153,8 @@ def tell_truth(data):
 
 
 runpy.run_path(os.path.join(FOLDER, "unitree_mujoco.py"), run_name="__main__")
-time.sleep(0.5)
+if not stepped.wait(STARTS_WITHIN):
+    sys.exit("the simulator does not step")
 server = ModeSwitcher()
 server.Init()
 server.Start(False)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from hal.camera import MountedCamera
 from hal.mujoco.looks import dress_world
 from hal.mujoco.robot import BODY_FRICTION, BOX, Simulated
+from hal.types import Array
 
 BASE_THICKNESS = 0.5
 """Ground below the lowest point of the terrain [m]."""
@@ -95,27 +97,40 @@ def _terrain(
     looks: bool,
 ) -> None:
     rows, cols = height.shape
-    low = float(height.min())
-    span = max(float(height.max()) - low, 1e-3)
-    # MuJoCo spreads n samples over 2 * size: only (n - 1) * resolution / 2 keeps the map unscaled.
-    half = 0.5 * resolution * np.array([cols - 1, rows - 1])
-    spec.add_hfield(
-        name="terrain",
-        nrow=rows,
-        ncol=cols,
-        size=[half[0], half[1], span, BASE_THICKNESS],
-        userdata=((height - low) / span).astype(np.float32).ravel(),
-    )
+    size, place, share = _hfield(height, resolution, origin)
+    spec.add_hfield(name="terrain", nrow=rows, ncol=cols, size=size, userdata=share)
     spec.worldbody.add_geom(
         name="terrain",
         type=mujoco.mjtGeom.mjGEOM_HFIELD,
         hfieldname="terrain",
-        pos=[origin[0] + half[0], origin[1] + half[1], low],
+        pos=place,
         **({"material": "ground"} if looks else {}),
         contype=2,
         conaffinity=1,
         friction=[BODY_FRICTION, 0.005, 0.0001],
         group=0,
+    )
+
+
+def _hfield(
+    height: NDArray[np.floating[Any]], resolution: float, origin: tuple[float, float]
+) -> tuple[Array, Array, NDArray[np.float32]]:
+    """Size (4,) and place (3,) [m] of a height field, and its samples (rows * cols,) [0..1]."""
+    rows, cols = height.shape
+    low = float(height.min())
+    span = max(float(height.max()) - low, 1e-3)
+    # MuJoCo spreads n samples over 2 * size: only (n - 1) * resolution / 2 keeps the map unscaled.
+    x, y = 0.5 * resolution * (cols - 1), 0.5 * resolution * (rows - 1)
+    place = np.array([origin[0] + x, origin[1] + y, low])
+    return np.array([x, y, span, BASE_THICKNESS]), place, ((height - low) / span).astype(np.float32).ravel()
+
+
+def lay_ground(
+    model: mujoco.MjModel, height: NDArray[np.float32], resolution: float, origin: tuple[float, float]
+) -> None:
+    """Another ground with as many cells: `height` (rows, cols) [m]."""
+    model.hfield_size[0], model.geom("terrain").pos[:], model.hfield_data[:] = _hfield(
+        height.astype(np.float64), resolution, origin
     )
 
 

@@ -206,6 +206,10 @@ class Canvas:
         self._context.free()
         self._gl.free()
 
+    def take_ground(self) -> None:
+        """The model's ground is another one."""
+        mujoco.mjr_uploadHField(self.model, self._context, 0)
+
     def place(self, pose: NDArray[np.float32], obstacles: tuple[Obstacle, ...], time: float) -> None:
         """The robot at `pose` (23,): position [m], quaternion w, x, y, z, joints in SDK order [rad]; the boxes where
         they are at `time` [s]."""

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from hal.camera import CameraConfig, CameraError, MountedCamera
 from hal.camera.stream import StreamCamera
 from hal.mujoco.config import Obstacle
-from hal.mujoco.view.camera import LEAST_CELL, RenderedCamera, coarse_ground
+from hal.mujoco.view.camera import DRAWN_SIDE, LEAST_CELL, RenderedCamera, coarse_ground
 from hal.rotation import rotation_rpy
 from hal.scenes import Scene
 from hal.types import Extrinsics
@@ -99,6 +99,30 @@ def test_a_box_is_drawn_where_it_is_projected() -> None:
     assert columns.min() == pytest.approx(expected[:, 0].min(), abs=2.0)
     assert columns.max() == pytest.approx(expected[:, 0].max(), abs=3.0)
     assert rows.min() == pytest.approx(expected[:, 1].min(), abs=2.0)
+
+
+def test_a_large_site_is_drawn_around_the_robot_as_a_small_one() -> None:
+    needs_gl()
+    wide = np.zeros((40, 600), np.float32)
+    wide[:, 550:553] = 1.0
+    pictures = []
+    for height, east in ((wide, 0.0), (np.ascontiguousarray(wide[:, 400:]), 40.0)):
+        scene = Scene("wall", height, 0.1, (east, -2.0), (east + 1.0, 0.0, 0.0), {})
+        source = RenderedCamera(CAMERA, scene)
+        source.open()
+        try:
+            for x in (east + 1.0, 52.0):
+                source.follow(round(x), np.array([x, 0.0, 0.4]), LEVEL)
+                frame = source.frame(0)
+                assert frame is not None
+            assert source._canvas is not None
+            assert source._canvas.model.hfield_data.size <= (DRAWN_SIDE / LEAST_CELL) ** 2
+        finally:
+            source.close()
+        pictures.append(np.asarray(Image.open(io.BytesIO(frame.jpeg)), np.int64))
+    ahead = [picture[60:110, 150:170].sum(axis=2).mean() for picture in pictures]
+    assert ahead[0] == pytest.approx(ahead[1], abs=6.0), "the wall 3 m ahead"
+    assert abs(pictures[0][10:20, 150:170].sum(axis=2).mean() - ahead[0]) > 60.0, "the sky is another colour"
 
 
 @given(st.integers(2, 9), st.integers(2, 9), st.sampled_from((0.01, 0.02, 0.05)))

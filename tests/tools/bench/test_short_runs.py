@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tools.bench import kill, lockstep, stop
+from hal.scenes.scene import Scene
+from tools.bench import kill, lockstep, rules, stop
 from tools.bench.outside import bench as outside
 from tools.bench.perception import bench as perception
 from tools.bench.perception import open_ground
@@ -84,3 +86,22 @@ def test_no_path_leads_over_what_stands_there(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(watch, "PATH_COUNT", 2)
     report = planning.run(["--only", "watch"])
     assert not [row for row in report.rows if not row.ok]
+
+
+def test_a_rule_that_is_left_out_changes_what_it_is_for_and_comes_back() -> None:
+    report = rules.run(["--without", "straighten", "--without", "give_up", "--only", "pit_0"])
+    rows = {row.key: row.value for row in report.rows}
+    assert (rows["rules.straighten.changed"], rows["rules.give_up.changed"]) == (1, 0), "one rule at a time"
+    first = {row.key: row.baseline for row in report.rows}
+    assert rows["rules.straighten.pit_0.turned"] != first["rules.straighten.pit_0.turned"]
+    assert rows["rules.give_up.pit_0.driven"] == first["rules.straighten.pit_0.driven"]
+
+
+def test_behind_a_crest_nobody_sees_the_ground() -> None:
+    height = np.zeros((80, 80), np.float32)
+    height[:, 50:] = -0.3
+    world = rules._World(Scene("ledge", height, 0.04, (0.0, 0.0), (0.6, 1.6, 0.0), {}))
+    world.look(0.6, 1.6)
+    assert world.seen[40, 45]
+    assert not world.seen[40, 52]
+    assert world.grid().virtual[40, 54:70].all(), "rays passed low over it"

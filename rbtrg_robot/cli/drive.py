@@ -15,6 +15,8 @@ from rbtrg_robot.terminal import plain, say
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 REACHED, REJECTED, ABORTED, CANCELLED, TIMED_OUT = 0, 2, 3, 4, 5
+READY_LIMIT, READY_PERIOD = 600.0, 1.0
+"""A goal waits so long for a stack that starts [s], and looks so often: kernels compile for minutes."""
 EXIT = {
     "reached": REACHED,
     "rejected": REJECTED,
@@ -93,12 +95,39 @@ def send(bus: Any, request: Any, *, wait: bool) -> int:
     from rbtrg_robot.orders.goal import CancelGoal
     from rbtrg_robot.orders.order import follow
 
+    if starting := _starting(bus):
+        say(
+            f"rbtrg-robot: not ready after {READY_LIMIT:.0f} s: {starting}; see `rbtrg-robot status`",
+            error=True,
+        )
+        return ABORTED
     try:
         return _follow(bus, request, wait=wait)
     except KeyboardInterrupt:
         say("cancelling the goal", error=True)
         say(follow(bus, CancelGoal(request.id)).words)
         return CANCELLED
+
+
+def _starting(bus: Any) -> str:
+    """Waits while a process starts for the first time, and tells so. What it still waits for at the end; empty where
+    all run, or where the supervisor does not answer: the navigator may."""
+    import json
+    import time
+
+    end, why, told = time.monotonic() + READY_LIMIT, "", ""
+    while (answer := bus.ask("status")) is not None:
+        status = json.loads(answer)
+        if status["ready"] or not any(row["state"].startswith("starting") for row in status["processes"]):
+            break
+        why = status["compiling"] or status["lacks"] or "processes start"
+        if time.monotonic() > end:
+            return why
+        if why != told:
+            told = why
+            say(f"not ready yet, waiting up to {READY_LIMIT:.0f} s: {why}", error=True)
+        time.sleep(READY_PERIOD)
+    return ""
 
 
 def _target(

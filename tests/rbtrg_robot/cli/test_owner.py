@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import pytest
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.process.runfiles import RunLock
-from rbtrg_robot.wire.bus import Bus, Received
+from rbtrg_robot.wire.bus import Bus, Received, Reply
 from rbtrg_robot.wire.messages import header
 from tools.bench.ports import free_endpoint
 
@@ -60,6 +61,7 @@ class Stack:
 @pytest.fixture
 def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stack]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))  # others compile there: a command says so
     endpoint = free_endpoint()
     lock = RunLock("go2w")
     try:
@@ -87,6 +89,32 @@ def test_an_interrupted_goal_is_cancelled(stack: Stack) -> None:
     assert requests[-1].action == 1
     assert requests[-1].id == requests[0].id
     assert requests[-1].owner == requests[0].owner != ""
+
+
+def test_a_goal_waits_until_the_stack_is_ready(stack: Stack) -> None:
+    """The supervisor answers that the planner starts, three times; then that it runs."""
+    asked, requests = list[bool](), list[bool]()
+
+    def status(reply: Reply) -> None:
+        asked.append(ready := len(asked) >= 3)
+        rows = [{"process": "planner", "state": "ready" if ready else "starting"}]
+        told = {"ready": ready, "compiling": "", "lacks": "planner has not started", "processes": rows}
+        reply(json.dumps(told).encode())
+
+    def answer(received: Received) -> None:
+        requests.append(asked[-1])
+        moving = msg.GoalStatus(header=header(1, "map"), id=received.decode().id, state="moving")
+        stack.bus.publish(t.GOAL_STATUS, moving, 1)
+
+    stack.bus.serve("status", status)
+    code, said = stack.run(["goal", "1.0", "2.0"], answer, lambda: False)
+    assert code == 0, said
+    assert said.splitlines() == [
+        "not ready yet, waiting up to 600 s: planner has not started",
+        "goal moving",
+    ]
+    assert asked == [False, False, False, True]
+    assert all(requests), "nothing is sent before"
 
 
 @pytest.mark.parametrize(

@@ -85,9 +85,11 @@ def plan(
     if png is not None and len(questions) > 1:
         raise ConfigError("--png draws one route: ask one question")
     routes: list[Route] = []
+    advised = False  # another start costs graphs: it is told once
     for place, heading, end, end_yaw in questions:
-        route = planner.plan(place, end, heading, end_yaw)
+        route = planner.plan(place, end, heading, end_yaw, other_start=not advised)
         routes.append(route)
+        advised |= bool(route.advice)
         if not as_json:
             lead = f"({place[0]:g}, {place[1]:g}) -> ({end[0]:g}, {end[1]:g}): " if pairs else ""
             say(lead + route.words)

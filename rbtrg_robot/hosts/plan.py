@@ -55,6 +55,8 @@ class Route:
     reason: str = ""
     """Empty for a route to the goal; else as a goal's: no_route, start_off_graph ..."""
     detail: str = ""
+    advice: str = ""
+    """Where to start instead; a part of `detail`."""
     reaches_goal: bool = False
     length: float = 0.0
     duration: float = 0.0
@@ -141,8 +143,11 @@ class MapPlanner:
         goal: tuple[float, float],
         start_yaw: float = 0.0,
         goal_yaw: float | None = None,
+        *,
+        other_start: bool = True,
     ) -> Route:
-        """A route; yaw in radians. It depends on start and goal alone, not on what was asked before."""
+        """A route; yaw in radians. It depends on start and goal alone, not on what was asked before. `other_start`: of
+        a start that leads nowhere tell another one, which draws up to `STARTS_TRIED` graphs."""
         x0, y0, x1, y1 = self.extent
         for name, (x, y), why in (("start", start, Reason.START_OFF_GRAPH), ("goal", goal, Reason.INVALID)):
             if not (x0 <= x <= x1 and y0 <= y <= y1):
@@ -182,8 +187,9 @@ class MapPlanner:
                 NoRouteReason.NO_TERRAIN: f"the map knows no ground around {where}",
                 NoRouteReason.START_NOT_ON_GRAPH: f"no straight move leads from {where} to drivable ground",
             }.get(error.reason)
-            told = str(error) if told is None else f"{told}: {self._other_start(terrain, ways, asked)}"
-            return Route(False, REASONS[error.reason].value, told)
+            advice = self._other_start(terrain, ways, asked) if told is not None and other_start else ""
+            detail = ": ".join(filter(None, (told or str(error), advice)))
+            return Route(False, REASONS[error.reason].value, detail, advice=advice)
         return self._route(way, terrain)
 
     def _route(self, way: Way, terrain: MapGraph) -> Route:

@@ -105,6 +105,12 @@ def test_the_command_answers_for_people_and_for_programs(wall: Path, tmp_path: P
     code, out = run(str(wall), "--pairs", str(tmp_path / "pairs.txt"))
     assert code == 2
     assert "1 of 2 reach their goal" in out
+    (tmp_path / "walled.txt").write_text("4 1 6 2\n4 2 6 2\n4 1.5 6 2\n")
+    code, out = run(str(wall), "--pairs", str(tmp_path / "walled.txt"))
+    assert code == 2
+    assert (out.count("no route (start_not_on_graph)"), out.count("has a way")) == (3, 1), (
+        "graphs are drawn once"
+    )
     assert run(str(wall), "2,2", "40,2")[0] == 2
     assert "No such option" not in run(str(wall), "-1,2", "6,2")[1]
     assert run(str(wall), "2", "2", "6", "2") == run(str(wall), "2,2", "6,2")

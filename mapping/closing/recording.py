@@ -88,6 +88,19 @@ class Recording:
             self._end = begin
         self._file.truncate(self._end)
 
+    def _last(self, run: int) -> Scan | None:
+        return self.scans[-1] if self.scans and self.scans[-1].run == run else None
+
+    def wants(self, run: int, stamp: int, pose: Array) -> bool:
+        """Whether a scan at this stamp [ns] and pose (4, 4) would be kept."""
+        last = self._last(run)
+        if last is None:
+            return True
+        a, b = levelled(last.pose), levelled(pose)
+        moved, turned = math.dist(a[:2], b[:2]), abs(wrap(b[3] - a[3]))
+        near = moved < SCAN_SPACING[0] and turned < SCAN_SPACING[1]
+        return not near or stamp - last.stamp >= SCAN_SPACING[2]
+
     def add(
         self,
         run: int,
@@ -101,14 +114,10 @@ class Recording:
         `odom`, how far the ground is under it [m], bottoms of the wheels (k, 3) in base_link. Returns whether it was
         kept. Raises OSError where the disk is full.
         """
-        last = self.scans[-1] if self.scans and self.scans[-1].run == run else None
-        along = 0.0
-        if last is not None:
-            a, b = levelled(last.pose), levelled(pose)
-            moved, turned = math.dist(a[:2], b[:2]), abs(wrap(b[3] - a[3]))
-            if moved < SCAN_SPACING[0] and turned < SCAN_SPACING[1] and stamp - last.stamp < SCAN_SPACING[2]:
-                return False
-            along = last.along + moved
+        if not self.wants(run, stamp, pose):
+            return False
+        last = self._last(run)
+        along = 0.0 if last is None else last.along + math.dist(levelled(last.pose)[:2], levelled(pose)[:2])
         # without what is no number
         near = [(sensor, cloud[np.square(cloud).sum(axis=1) < POINT_REACH**2]) for sensor, cloud in clouds]
         heads = [(astuple(sensor), len(cloud)) for sensor, cloud in near]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from rbtrg_robot.hosts.map_build import Built, Progress
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
+LINE_PERIOD = 5.0
+"""[s] between two lines of progress where there is no terminal."""
 NOT_FOUND = 3
 """Exit status: a run is not in the map, because it was not found in those before."""
 
@@ -122,11 +124,14 @@ def map_close(
 
 @contextlib.contextmanager
 def _progress() -> Iterator[Progress]:
-    """A bar for each thing that is done, on a terminal."""
+    """A bar for each thing that is done, on a terminal; elsewhere a line now and then."""
     from rich.console import Console
     from rich.progress import Progress as Bars
 
-    with Bars(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bars:
+    if not sys.stderr.isatty():
+        yield _Lines()
+        return
+    with Bars(console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
         def progress(what: str, share: float) -> None:
@@ -135,6 +140,19 @@ def _progress() -> Iterator[Progress]:
             bars.update(tasks[what], completed=share)
 
         yield progress
+
+
+class _Lines:
+    """Progress where there is no terminal."""
+
+    def __init__(self) -> None:
+        self._what, self._due = "", 0.0
+
+    def __call__(self, what: str, share: float) -> None:
+        now = time.monotonic()
+        if what != self._what or now >= self._due:
+            self._what, self._due = what, now + LINE_PERIOD
+            say(f"{what}: {share:.0%}", error=True)
 
 
 def _note(text: str) -> None:

@@ -21,18 +21,21 @@ from mapping.elevation.map import ElevationMap
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.areas import to_text
-from rbtrg_robot.config import ConfigError
+from rbtrg_robot.config import ConfigError, StackConfig
 from rbtrg_robot.hosts.offline import Window, config_of, feed, stages_for
+from rbtrg_robot.hosts.swept import Swept
 from rbtrg_robot.log.read import LogError, read_run
 from rbtrg_robot.log.summary import overview
 from rbtrg_robot.stages.reader import Reader
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.messages import MessageError, decode
+from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of it that is."""
 PICTURE_PIXELS = (900, 1500)
 """Of the picture's longer side, at least and at most."""
+OF_ODOMETRY = ("odometry", "own_parts", "lidars", "robot_model", "unitree")
+"""Settings with which odometry would tell other poses than the log has."""
 LOOP_COLOUR, WAY_COLOUR = GREEN, WHITE
 
 
@@ -64,7 +67,8 @@ def build(
     """Write the map of `runs` to `out` (.npz), and beside it what was found (.json) and a picture (.png). The first
     run's `map` is the map's frame; `areas` are drawn on it.
 
-    Where a log holds the deskewed clouds they are used, else odometry runs again on its sweeps. The configuration is
+    Where a log holds the deskewed clouds they are used, else its sweeps along the poses that it holds. Where there are
+    none, or settings of the odometry are others, odometry runs again. The configuration is
     that of each log, of the elevation map that of the first, changed by `file` and `sets`; drift: see `Closing`. Raises
     ConfigError, LogError, MapError, which say what to do.
     """
@@ -119,8 +123,9 @@ def _read(
     config = config_of(log, file, sets, say)
     reader = Reader(recording, number, config)
     wanted = frozenset(reader.inputs)
-    held = overview(log)
     name = f"run {number + 1}"
+    progress(name, 0.0)
+    held = overview(log)
     before = len(recording.scans)
 
     def done(seconds: float) -> None:
@@ -133,13 +138,19 @@ def _read(
             except MessageError:
                 reader.refused += 1
 
-    clouds = held.topics.get(t.CLOUD.name)
-    if clouds is not None and clouds.count:
+    def counted(topic: Topic) -> int:
+        return held.topics[topic.name].count if topic.name in held.topics else 0
+
+    logged = config_of(log, None, ())
+    told = all(getattr(config, name) == getattr(logged, name) for name in OF_ODOMETRY)
+    if counted(t.CLOUD):
         for entry in read_run(log):
             topic = t.BY_NAME.get(entry.topic)
             if topic in wanted and entry.type == topic.type:
                 take(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
                 done((entry.log_time - held.begin) / 1e9)
+    elif told and counted(t.ODOM) and not config.odometry.without:
+        _sweeps(reader, config, log, lambda stamp: done((stamp - held.begin) / 1e9))
     else:
         stages = stages_for(log, ["odometry"], config)
         feed(log, stages, config, take, Window(held.begin), done, say)
@@ -154,6 +165,43 @@ def _read(
         {"log": str(log), "driven_m": round(kept[-1].along, 2), "scans": reader.scans, "kept": len(kept)}
     )
     return reader
+
+
+def _sweeps(reader: Reader, config: StackConfig, log: Path, done: Callable[[int], None]) -> None:
+    """Sweeps at the poses that the odometry told while the log was made."""
+    swept = Swept(config)
+    poses: dict[int, msg.Odometry] = {}
+    healths: dict[int, msg.OdometryHealth] = {}
+    heard: tuple[Topic, ...] = (t.ODOM, t.ODOM_HEALTH, t.JOINTS, t.TF_STATIC, *swept.topics)
+    wanted = {topic.name: topic for topic in heard}
+    for entry in read_run(log, raw=True):
+        topic = wanted.get(entry.topic)
+        if topic is None:
+            continue
+        done(entry.log_time)
+        try:
+            if topic in swept.topics:
+                swept.sweep(swept.topics[topic], entry.data, entry.type)
+                continue
+            if entry.type != topic.type:
+                continue
+            message: Any = decode(entry.data, topic.kind)
+            if topic is t.ODOM:
+                poses[stamp_of(message)] = message
+            elif topic is t.ODOM_HEALTH:
+                healths[stamp_of(message)] = message
+            else:
+                reader.take(topic, message)
+        except MessageError:
+            reader.refused += 1
+        for stamp in sorted(poses.keys() & healths.keys()):
+            told, health = poses.pop(stamp), healths.pop(stamp)
+            pose = swept.pose(told)
+            swept.health(health)
+            if health.health == "lost" or not reader.wants(pose.matrix, stamp):
+                reader.scans += 1
+                continue
+            reader.scan(told, swept.clouds())
 
 
 def _record(

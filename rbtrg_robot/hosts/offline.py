@@ -99,7 +99,7 @@ def feed(
     held = overview(log).topics
     # From a later start on, stages begin anew: their messages have other numbers than the journals say.
     journals = t.JOURNAL.name in held and not within.later
-    steps, restarted = read_journals(within.entries(read_run(log)) if journals else ())
+    steps, restarted = read_journals(within.entries(read_run(log, raw=True)) if journals else ())
     live = stages.keys() <= steps.keys()
     replaced = {
         topic

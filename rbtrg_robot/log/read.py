@@ -161,13 +161,13 @@ def log_files(path: Path) -> list[Path]:
     return [path]
 
 
-def read_run(path: Path, contents: LogContents | None = None) -> Iterator[Entry]:
-    """Messages of a file or of all files of a run's folder, in order."""
+def read_run(path: Path, contents: LogContents | None = None, *, raw: bool = False) -> Iterator[Entry]:
+    """Messages of a file or of all files of a run's folder, in order; `raw`: see `read_log`."""
     for file in log_files(path):
         found = contents if contents is not None else LogContents()
         found.schemas.clear()
         found.channels.clear()
-        for entry, _schema, _channel in read_log(file, found):
+        for entry, _schema, _channel in read_log(file, found, raw=raw):
             yield entry
 
 

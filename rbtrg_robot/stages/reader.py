@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.limbs import stand_height
 from hal.rotation import rotation
-from hal.types import Array
+from hal.types import Array, LidarName
 from mapping.closing import Recording
 from mapping.elevation.exchange import MapError
 from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stages.scans import Scan, Scans
@@ -62,6 +64,20 @@ class Reader:
         except LayoutError:
             self.refused += 1
             return
+        self._take_scans()
+
+    def wants(self, pose: Array, stamp: int) -> bool:
+        """Whether a scan at a pose (4, 4) in `odom` would be kept."""
+        return self._recording.wants(self._run, stamp, pose)
+
+    def scan(self, message: msg.Odometry, clouds: Mapping[LidarName, NDArray[np.float32]]) -> None:
+        """A pose and the clouds (n, 3) that belong to it, base_link [m]."""
+        self._waiting.pose(message)
+        for name, points in clouds.items():
+            self._waiting.cloud(stamp_of(message), name, points)
+        self._take_scans()
+
+    def _take_scans(self) -> None:
         for scan in self._waiting.take():
             self._record(scan)
 

@@ -52,6 +52,9 @@ def test_a_run_becomes_a_map_with_its_loops_closed_and_one_from_elsewhere_is_lef
         app, ["map", "build", str(run), str(other), "--out", str(out), "--drift", "6"]
     )
     assert result.exit_code == 3, result.output
+    told = [line for line in result.stderr.splitlines() if line.endswith("%")]
+    assert [line for line in told if line.endswith(": 0%")][:2] == ["run 1: 0%", "run 2: 0%"]
+    assert {line.split(":")[0] for line in told} == {"run 1", "run 2", "loops", "map"}
     record = json.loads(out.with_suffix(".json").read_text())
     assert len(record["closed"]) >= 2
     assert f"{len(record['closed'])} loops closed, {len(record['refused'])} refused" in result.output

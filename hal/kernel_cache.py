@@ -18,12 +18,9 @@ from functools import cache
 from pathlib import Path
 
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
-from numba.core.compiler import Flags
 
-# Numba would compile an entry for C with each kernel and with each of its own helpers: a tenth of the time, and nobody
-# calls one. A numba that has no such option takes that tenth.
-if "no_cfunc_wrapper" in Flags.options:
-    Flags.options["no_cfunc_wrapper"]._default = True
+import hal.compiler  # noqa: F401  numba imports this module before it compiles
+
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("hal", "mapping", "planning", "tools")
 FACTS = "robot.yaml"

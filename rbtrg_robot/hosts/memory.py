@@ -4,6 +4,22 @@ from __future__ import annotations
 
 import ctypes
 import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+COLLECT_AFTER = 200_000
+"""New objects after which Python looks for garbage while kernels compile; as a rule 700."""
+
+
+@contextmanager
+def seldom_collecting() -> Iterator[None]:
+    """Compiling keeps most objects that it makes: to look through them again and again finds nothing."""
+    before = gc.get_threshold()
+    gc.set_threshold(COLLECT_AFTER, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def keep_what_is_loaded() -> None:

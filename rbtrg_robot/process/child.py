@@ -43,7 +43,7 @@ def run(spec: dict[str, Any]) -> int:
     from hal.errors import OperatorError, one_line
     from rbtrg_robot.config import load
     from rbtrg_robot.hosts.live import Node
-    from rbtrg_robot.hosts.memory import keep_what_is_loaded
+    from rbtrg_robot.hosts.memory import keep_what_is_loaded, seldom_collecting
     from rbtrg_robot.process.kernels import REST, compile_rest
     from rbtrg_robot.processes import BY_NAME
     from rbtrg_robot.stages.stage import WarmsLater
@@ -69,9 +69,10 @@ def run(spec: dict[str, Any]) -> int:
             return 0
         again = getattr(part, "build_again", entry) if restored else entry
         stage = again(config)
-        stage.warm_up()
-        if isinstance(stage, WarmsLater) and not spec["hurry"]:
-            stage.warm_up_rest()
+        with seldom_collecting():
+            stage.warm_up()
+            if isinstance(stage, WarmsLater) and not spec["hurry"]:
+                stage.warm_up_rest()
         keep_what_is_loaded()
         with Bus(config.endpoint, name, config.scope, **ours) as bus:
             node = Node(row, stage, bus, simulated=config.simulated, folder=config.log_dir)

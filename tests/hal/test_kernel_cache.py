@@ -31,7 +31,13 @@ FILES = {
 @pytest.fixture
 def installed(tmp_path: Path) -> Path:
     """A small installation, its kernels kept in NUMBA_CACHE_DIR."""
-    for name in ("hal/__init__.py", "hal/kernel_cache.py", "hal/errors.py", "mapping/__init__.py"):
+    for name in (
+        "hal/__init__.py",
+        "hal/kernel_cache.py",
+        "hal/compiler.py",
+        "hal/errors.py",
+        "mapping/__init__.py",
+    ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, tmp_path / name)

@@ -18,6 +18,7 @@ import numpy as np
 
 from hal.rotation import rotation, rotation_vector, skew, turn
 from hal.types import Array
+from mapping.odometry.registration.observability import observed
 
 PRIOR_OFFSET, PRIOR_TURN, PRIOR_PLACE = 0.05, 0.05, 0.05
 """Standard deviations of offset [s], turn [rad] and place [m] of the mount before anything is measured."""
@@ -184,9 +185,10 @@ class MapFit:
         axes[:3, :3] = axes[3:, 3:] = pose[:3, :3].T
         weight = INDEPENDENT_POINTS / inliers / (sigma**2 + total / inliers)
         d = _displacement(linear, angular)
-        h = weight * axes @ h @ axes.T
         known = off + shift * d[:, 0]
-        b = weight * axes @ b
+        # A plane that noise tilts says of a cloud that lies beside its middle that it lies ahead or aside.
+        h, b = observed(axes @ h @ axes.T).earned(axes @ b)
+        h, b = weight * h, weight * b
         c = weight * total + 2.0 * float(known @ b) + float(known @ h @ known)
         b = b + h @ known
         self._fit.add(d.T @ h @ d, d.T @ b, c, INDEPENDENT_POINTS)

@@ -46,6 +46,15 @@ class Observed:
         along = self.directions[:, seen]
         return -along @ ((along.T @ gradient) / (self.weight * (self.facing[seen] + NORMAL_NOISE)))
 
+    def earned(self, gradient: Array) -> tuple[Array, Array]:
+        """Information (6, 6) and the part of `gradient` (6,) that belongs to it: what noise pretends is taken off."""
+        seen = self.facing > 0.0
+        along = self.directions[:, seen]
+        across = np.linalg.inv(self.directions)[seen]
+        facing = self.facing[seen]
+        share = facing / (facing + NORMAL_NOISE)
+        return self.weight * (across.T * facing) @ across, across.T @ (share * (along.T @ gradient))
+
     def covariance(self, variance: float) -> Array:
         """(6, 6) for points with `variance` [m^2] that count together as one."""
         spread = np.full(6, UNKNOWN_SIGMA**2)

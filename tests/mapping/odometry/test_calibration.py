@@ -227,6 +227,31 @@ def ground(scene: str, random: np.random.Generator) -> np.ndarray:
     return np.column_stack([xy, z + 0.01 * random.standard_normal(len(xy))]).astype(np.float32)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("walls", [False, True])
+def test_a_head_lidar_that_sees_nothing_but_ground_tells_no_place_of_its_mount(
+    walls: bool, seed: int
+) -> None:
+    """Its points lie 6 cm beside the middle of planes that noise tilts by 0.04 rad."""
+    random = np.random.default_rng(seed)
+    found = Calibration({"main": XT16_MOUNT, "head": L1_MOUNT}, 0.05)
+    fit = found._beside["head"]
+    for _ in range(100):
+        n = np.column_stack([0.04 * random.standard_normal((400, 2)), np.ones(400)])
+        if walls:
+            n[:100], n[100:200] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+        at = np.column_stack([random.uniform(-2.0, 2.0, (400, 2)), np.full(400, -0.4)])
+        off = fit.pose(np.eye(4), np.zeros(3), np.zeros(3), 0.0)[1]
+        j = np.column_stack([n, np.cross(at, n)])
+        r = 0.06 * n[:, 0] - j @ off + 0.005 * random.standard_normal(400)
+        fitted = (j.T @ j, j.T @ r, 400, 400, 400, float(r @ r), 0.0)
+        fit.add(fitted, np.eye(4), off, np.zeros(3), np.zeros(3), 0.01, 0.0)
+    found._known["head"] = fit.solve()
+    assert found.fault() == (
+        "the mounts of the main and the head LiDAR do not fit together: x +6.0 cm" if walls else ""
+    )
+
+
 CONTACTS = np.array([[0.2, -0.2, -0.4], [0.2, 0.2, -0.4], [-0.2, -0.2, -0.4], [-0.2, 0.2, -0.4]])
 UP = np.array([0.0, 0.0, 1.0])
 

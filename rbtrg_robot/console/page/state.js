@@ -90,7 +90,13 @@ export function makeState(link, free) {
       () => free.tell({ do: "mission", what: "resume", order_id: link.newest.mission.order_id }),
       true,
     ],
-    answer: ["Answer", () => free.open("missions")],
+    answer: [
+      "Answer",
+      () => {
+        free.open("missions");
+        $("question").scrollIntoView({ block: "nearest" });
+      },
+    ],
     missions: ["Mission", () => free.open("missions")],
     place: ["Show its place", () => free.open("maps")],
   };

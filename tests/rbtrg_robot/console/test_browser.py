@@ -753,7 +753,7 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "round.yaml").write_text(ROUND)
     (folder / "broken.yaml").write_text("steps: [fly]")
-    page = visit(size=PHONE, has_touch=True, is_mobile=True)
+    page = visit(size=PHONE, flat=not PICTURES, has_touch=True, is_mobile=True)
     page.click("nav [data-view=missions]")
     until(page, "document.querySelectorAll('#mission-files tbody tr').length === 2")
     assert "broken.yaml: step 1" in page.inner_text("#mission-files tbody tr:nth-child(1)")
@@ -775,7 +775,10 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     until(page, "document.querySelector('#why-still').textContent === 'Is the valve open?'")
     assert (robot.x, robot.y) == pytest.approx((1.5, 0.5), abs=0.15)
     assert page.locator("nav .asks").inner_text() == "Missions"
-    page.click("nav [data-view=missions]")
+    page.click("#act-answer")
+    page.wait_for_selector("#choices button:nth-child(2)")
+    assert page.evaluate(ON_TOP, "#choices"), "the answers are below the fold"
+    keep_picture(page, "asks_phone")
     page.click("#choices button:nth-child(1)")
     until(page, "document.querySelector('#mission-steps').textContent.includes(\"answered 'yes'\")")
     page.click("[data-mission=skip]")

@@ -58,9 +58,9 @@ REJOIN_TIME = 6.0
 """[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended
 for silence."""
 PLANNER = "planner"
-COMPILES = (PLANNER, "elevation", "odometry", "guard", "robot")
-"""Processes that compile kernels at a first start: the longest first, the robot last, for it waits for the others then.
-"""
+COMPILES = (PLANNER, "guard", "elevation", "odometry", "robot")
+"""Processes that compile kernels at a first start: the longest first, then the one whose kernels it needs next, the
+robot last, for it waits for the others then."""
 MOST_ASKED = 64
 """Most questions that wait for an answer; of more the oldest get none."""
 LAST_WISH = 0.9

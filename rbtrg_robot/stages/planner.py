@@ -134,7 +134,7 @@ class PlannerStage:
         # third carries evaluations and search
         # over, the last looks for a frontier.
         for number, (goal, driven) in enumerate(((3.0, False), (3.0, True), (3.0, False), (9.0, False))):
-            height, grid = _made_up(number + 1)
+            height, grid, _ = _made_up(number + 1)
             stage._map.refresh((2.0, 2.0), grid, [(5, 5, 10, 10)])
             stage._whole = stage._whole if driven else None
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
@@ -143,6 +143,8 @@ class PlannerStage:
         robot = drives_over(stage._map.params)
         known_behind(around, here, Body.of(robot), robot.max_gap, 0.1)
         free_turn(around, here, 1.0, robot)
+        # Kernels of the elevation map, which has compiled them by now.
+        _made_up(0)[2].grid(filled=True)
 
     def warm_up_rest(self) -> None:
         """Look for where to explore on made-up ground."""
@@ -418,13 +420,14 @@ class PlannerStage:
         return [(t.ROUTE_REPORT, base.report(found, path, self._map.table, native, graph))]
 
 
-def _made_up(bumps: int) -> tuple[NDArray[np.float32], ElevationGrid]:
-    """Ground for a rehearsal: height (100, 100) [m], and the map of it."""
+def _made_up(bumps: int) -> tuple[NDArray[np.float32], ElevationGrid, MapPatch]:
+    """Ground for a rehearsal: height (100, 100) [m], the map of it, and how it would be sent."""
     x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
     height = x[:, None] * x[None, :]
     height[5:10, 5:10] += np.float32(0.001 * bumps)
     layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height)) | {"elevation": height}
-    return height, MapPatch((0.0, 0.0), 0.04, 0, 0, layers).grid(filled=True)
+    patch = MapPatch((0.0, 0.0), 0.04, 0, 0, layers)
+    return height, replace(patch.grid(), virtual=np.zeros(height.shape, np.bool_)), patch
 
 
 def build(config: StackConfig) -> PlannerStage:

@@ -215,9 +215,9 @@ def test_where_kernels_are_compiled_the_planner_has_a_core_to_itself(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     supervisor._mend()
     wanted = {p.name for p in PROCESSES} - set(load().absent)
-    assert wanted - set(started) == {"odometry", "guard", "robot"}
+    assert wanted - set(started) == {"elevation", "odometry", "robot"}
     assert {row["state"] for row in supervisor.status()["processes"]} == {"starting"}
-    for compiled, then in (("elevation", "odometry"), ("odometry", "guard"), ("guard", "robot")):
+    for compiled, then in (("guard", "elevation"), ("elevation", "odometry"), ("odometry", "robot")):
         supervisor._mend()
         assert then not in started
         supervisor._health.take(t.HEARTBEAT, ready(compiled))

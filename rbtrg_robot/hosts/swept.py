@@ -101,18 +101,19 @@ class Swept:
             after, until = max(stamps[-1] - 2 * SWEEP_PERIOD, last + SWEEP_SLACK), stamps[-1] + SWEEP_SLACK
             if name == "main":
                 after = stamps[-1] - SWEEP_SLACK
-            parts = [
-                self._deskewer.cloud(self._own.take_out(sweep, Counter()), stamps, track)
-                for sweep in self._sweeps(name, int(stamps[-1]))
-                if after < sweep.end <= until
-            ]
-            out[name] = np.concatenate(parts) if parts else NO_POINTS
+            parts = []
+            for sweep in self._sweeps(name, int(stamps[-1])):
+                if sweep.end <= after:
+                    break
+                if sweep.end <= until:
+                    parts.append(self._deskewer.cloud(self._own.take_out(sweep, Counter()), stamps, track))
+            out[name] = np.concatenate(parts[::-1]) if parts else NO_POINTS
         return out
 
     def _sweeps(self, name: LidarName, stamp: int) -> Iterator[Sweep]:
-        """Sound ones that began not long before `stamp` [ns]."""
+        """Sound ones that began not long before `stamp` [ns], the newest first: unpacking takes most of the time."""
         near, p = self._params.min_range if name == "main" else NEAR_RANGE, self._params
-        for began, payload, packed in self._waiting[name]:
+        for began, payload, packed in reversed(self._waiting[name]):
             if not 0 < stamp - began - self._shift[name] < LONGEST_SWEEP:
                 continue
             with suppress(MessageError, LayoutError, PackedError):

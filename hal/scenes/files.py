@@ -19,6 +19,7 @@ from hal.scenes.scene import Geometry, Goal, Pose, Scene, SceneError
 
 DEFAULT_RESOLUTION = 0.05
 """Cell size for clouds and meshes [m]."""
+BAGS = (".bag", ".db3", ".mcap")
 ENDINGS = (".npz", ".npy", ".png", ".tif", ".tiff", ".ply", ".pcd", ".las", ".laz", ".stl", ".obj")
 
 
@@ -76,6 +77,10 @@ def read_scene(
         resolution = resolution or DEFAULT_RESOLUTION
         height, origin, overhangs = grid(geometry, resolution, path.name)
         mesh = geometry if overhangs else None
+    elif ending in BAGS:
+        raise SceneError(
+            f"{path.name} is a bag; `rbtrg-robot map convert {path} OUT.npz` reads a grid map in it"
+        )
     else:
         raise SceneError(
             f"{path.name}: cannot read {ending or 'a file without ending'}: use {', '.join(ENDINGS)}"

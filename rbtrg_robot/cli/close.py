@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from hal.errors import OperatorError
-from hal.types import NS
-from mapping.closing.recording import SCAN_SPACING
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.hosts.map_build import Built, Progress, build
@@ -28,9 +26,9 @@ from rbtrg_robot.wire.frames import closed_map
 
 FLUSH_LOOKS, LOOK_EVERY = 300, 0.1
 """Looks at the log until the recorder has written again, and the time between them [s]."""
-HEARD_FOR = SCAN_SPACING[2] / NS + 3.0
-"""[s] of odometry before: the newest scan that is kept lies in it. Of a robot that stands it is so much older than the
-end of the log."""
+HEARD_FOR = 5.0
+"""[s] of odometry before: the newest scan that is kept lies in it. Of a robot that stands it is 2 s older than the end
+of the log."""
 
 
 class CloseError(OperatorError):

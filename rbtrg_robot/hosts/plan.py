@@ -275,10 +275,14 @@ class MapPlanner:
 
 
 def _apart(places: NDArray[np.floating], near: tuple[float, float]) -> list[tuple[float, float]]:
-    """Some of places (n, 2), `START_SPACING` apart about, the nearest first."""
+    """Some of places (n, 2), `START_SPACING` apart about, the nearest first; half of them from everywhere else: nearby
+    there may be nothing but a wall."""
     order = np.argsort(np.linalg.norm(places - near, axis=1))
     _, first = np.unique(np.floor(places[order] / START_SPACING), axis=0, return_index=True)
-    return [(float(x), float(y)) for x, y in places[order[np.sort(first)[:STARTS_TRIED]]]]
+    chosen, half = np.sort(first), STARTS_TRIED // 2
+    if len(chosen) > STARTS_TRIED:
+        chosen = np.r_[chosen[:half], chosen[half:][np.linspace(0, len(chosen) - half - 1, half).astype(int)]]
+    return [(float(x), float(y)) for x, y in places[order[chosen]]]
 
 
 def map_of(ground: str | ElevationGrid, config: StackConfig) -> tuple[ElevationMap, str]:

@@ -123,8 +123,12 @@ def look(
         _imu(found, unit)
     if not roles.keys() & {"main"} and not ("imu" in roles and roles.keys() & {"joints", "wheels"}):
         seen = ", ".join(sorted({s.type or s.encoding for s in bag.sources})) or "nothing"
+        hint = (
+            f"; `rbtrg-robot map convert {bag.path} OUT.npz` reads its grid map" if "/GridMap" in seen else ""
+        )
         raise RoleError(
-            f"{bag.path} holds neither a LiDAR nor an IMU with wheels, so nothing can be made of it; it holds {seen}"
+            f"{bag.path} holds neither a LiDAR nor an IMU with wheels, so no run can be made of it; it holds {seen}"
+            + hint
         )
     for one in probes.values():
         if one.broken:

@@ -17,7 +17,7 @@ from hal.robots.go2w.facts import BODY_WIDTH
 from hal.scenes import SceneError
 from rbtrg_robot.cli import plan as plan_command
 from rbtrg_robot.config import ConfigError, load
-from rbtrg_robot.hosts.plan import MapPlanner
+from rbtrg_robot.hosts.plan import STARTS_TRIED, MapPlanner, _apart
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +84,16 @@ def test_what_cannot_be_planned_is_told_with_its_reason(planner: MapPlanner) -> 
     )
     blocked = planner.plan((2.0, 2.0), (4.0, 1.0))
     assert (blocked.ok, blocked.reason) == (False, "goal_in_obstacle")
+
+
+def test_other_starts_are_looked_for_beyond_what_lies_near() -> None:
+    """Within metres there may be nothing but a wall."""
+    rows, cols = np.indices((100, 100))
+    tried = _apart(0.1 * np.column_stack([cols.ravel(), rows.ravel()]), (5.0, 5.0))
+    far = [math.dist(place, (5.0, 5.0)) for place in tried]
+    assert (len(tried), far[0]) == (STARTS_TRIED, 0.0)
+    assert far == sorted(far)
+    assert sum(one > 3.0 for one in far) >= 5
 
 
 def test_the_picture_shows_route_and_risk(planner: MapPlanner, tmp_path: Path) -> None:

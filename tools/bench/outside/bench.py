@@ -24,6 +24,7 @@ from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.importer.bag import Bag
 from rbtrg_robot.importer.run import convert_bag, look
 from rbtrg_robot.log.read import read_run
+from rbtrg_robot.log.summary import overview
 from rbtrg_robot.log.trajectory import of_run
 from rbtrg_robot.wire.messages import decode
 from tools.bench.outside import beside, files, foreign
@@ -64,6 +65,8 @@ def run(args: list[str]) -> Report:
             for name, check in cases.items():
                 _holds(report, f"{kind}.{name}", partial(check, folder))
         _drive(report, folder)
+        _holds(report, "log.offset_and_duration", partial(_part_of_a_log, folder))
+        _holds(report, "log.without_a_clock_has_a_map", partial(_without_clock, folder))
         _refusals(report, folder)
         if options.data is not None:
             _real(report, options.data, folder)
@@ -100,6 +103,18 @@ def _drive(report: Report, folder: Path) -> None:
         report.add(f"drive.{name}.error_m", abs(moved - driven), "m", 0.05)
 
 
+def _part_of_a_log(folder: Path) -> bool:
+    """A re-run of 0.6 s from 0.7 s on has 6 of the 20 sweeps, of 10 Hz."""
+    rerun(folder / "lidar_alone", ["odometry"], folder / "part.mcap", start_offset=0.65, duration=0.6)
+    return len(of_run(folder / "part.mcap").stamps) == 6
+
+
+def _without_clock(folder: Path) -> bool:
+    """An imported bag has no /clock; its re-run has odometry and a map."""
+    found = overview(folder / "lidar_alone.mcap").topics
+    return t.CLOCK.name not in found and found[t.MAP_UPDATE.name].count > 0
+
+
 def _refusals(report: Report, folder: Path) -> None:
     """Each with the words that tell what would work."""
     two = [*foreign.sweeps("ouster", 2, "/left"), *foreign.sweeps("ouster", 2, "/right", "other")]
@@ -131,6 +146,11 @@ def _refusals(report: Report, folder: Path) -> None:
         ),
         ("lfs_bag", "git lfs pull", lambda: Bag(folder / "stub.mcap")),
         ("lfs_scene", "git lfs pull", lambda: load_scene(folder / "stub.ply")),
+        (
+            "bag_as_a_scene",
+            "map convert",
+            lambda: load_scene(folder / "stub.mcap"),
+        ),
         ("dem_without_cells", "--resolution", lambda: load_scene(folder / "dem.npy")),
     )
     for key, words, act in cases:

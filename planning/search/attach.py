@@ -187,17 +187,12 @@ class Ground:
             self.headings(here)[0],
         )
 
-    def held(self, xy: XY, yaw: float) -> bool:
-        """Whether the guard held a turn of the robot, or by the map lets it turn by less than what is driven as a bend,
-        to one side at least."""
-        return any(self._held) or any(
-            self.guarded_turn(xy, yaw, turn, 0.0) < BEND_ANGLE for turn in (BEND_ANGLE, -BEND_ANGLE)
-        )
-
     def ahead(self, xy: XY, yaw: float) -> list[Spot]:
-        """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all
-        moves but those along its heading sweep the wall, and the graph may have no node there."""
-        out = []
+        """Places along the heading of a robot that stands astride a face, or from which no move leads to a node, as
+        nodes: with its side at a wall all moves but those along its heading sweep the wall. None at any heading."""
+        out: list[Spot] = []
+        if math.isnan(yaw):
+            return out
         for way in PLACES_AHEAD:
             for aside in PLACES_ASIDE:
                 at = yaw + math.radians(aside)

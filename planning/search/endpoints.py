@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,10 +39,8 @@ class Endpoints:
             self._origin.take_back(self.table)
 
 
-def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()) -> Endpoints:
+def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
     """Start and goal of a request. Raises NoRoute when they make no sense or the robot can go nowhere from its start.
-
-    `ahead`: places that become nodes as well, see `places_ahead`.
 
     Positions become nodes themselves (`planning.search.attach`), where the graph knows its map; on another one they
     have to be nodes, but for a goal beyond it.
@@ -64,7 +61,9 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
     if is_node(request.start):
         start = int(request.start)  # type: ignore[arg-type]
     else:
-        new = [*ahead, ground.spot(start_xy)]
+        spot = ground.spot(start_xy)
+        few = not len(spot.nodes) or dear_to_turn(graph, grid, (*start_xy, yaw))
+        new = [*(ground.ahead(start_xy, yaw) if few else []), spot]
         start += len(new) - 1
     if is_node(request.goal):
         goal = int(request.goal)  # type: ignore[arg-type]
@@ -101,20 +100,6 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
         ground,
         table,
     )
-
-
-def places_ahead(table: RiskTable, request: PlanRequest, astride: bool) -> list[Spot]:
-    """Places along the heading of a start (`Ground.ahead`) at which the robot stands `astride` a face, or else the
-    guard hardly lets it turn; none of another start."""
-    if is_node(request.start) or request.start_yaw is None or not table.graph.knows(table.grid):
-        return []
-    start, yaw = position(table.graph, request.start, "start"), request.start_yaw
-    if not on_map(table.grid, start):
-        return []
-    if astride and not dear_to_turn(table.graph, table.grid, (*start, yaw)):
-        return []  # most starts: a Ground copies the flags of the whole map
-    ground = Ground(table.graph, table.grid, (*start, yaw), request.held)
-    return ground.ahead(start, yaw) if astride or ground.held(start, yaw) else []
 
 
 def is_node(place: object) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +15,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, unseen_price, weights_of
 from planning.risk.cost import Weights
 from planning.risk.table import RiskTable
-from planning.search.attach import Spot
-from planning.search.endpoints import Endpoints, endpoints, places_ahead, position
+from planning.search.endpoints import Endpoints, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import frontiers, untried, with_hysteresis, worth_keeping
 from planning.search.guarded import without
@@ -66,28 +64,14 @@ def plan(
     start_yaw, goal_yaw = _check(grid, request)
     if any(request.held):
         with contextlib.suppress(NoRoute):
-            return _found(table, request, start_yaw, goal_yaw)
+            return _searched(table, request, start_yaw, goal_yaw)
         request = replace(request, held=(False, False))
-    return _found(table, request, start_yaw, goal_yaw)
+    return _searched(table, request, start_yaw, goal_yaw)
 
 
-def _found(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
-    """The route that a search finds: astride a face, and a second time where there is no other way, with places along
-    the robot's heading."""
-    ahead = places_ahead(table, request, astride=True)
-    try:
-        return _searched(table, request, start_yaw, goal_yaw, ahead)
-    except NoRoute:
-        if ahead or not (ahead := places_ahead(table, request, astride=False)):
-            raise
-    return _searched(table, request, start_yaw, goal_yaw, ahead)
-
-
-def _searched(
-    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, ahead: Sequence[Spot]
-) -> Plan:
-    """The route that a search finds, or what is left of the one that is driven. `ahead`: see `endpoints`."""
-    ends = endpoints(table, request, ahead)
+def _searched(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
+    """The route that a search finds, or what is left of the one that is driven."""
+    ends = endpoints(table, request)
     arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
     if found is None and request.rules.guarded:

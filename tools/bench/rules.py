@@ -38,8 +38,9 @@ from tools.bench.report import Report
 
 CELL = 0.04
 """[m] of the map."""
-NOISE = 0.003
-"""[m] sigma of its heights."""
+NOISE, NOISE_GROWTH = 0.003, 0.004
+"""[m], [m/m] sigma of its heights where the robot stands, and what it grows by with the distance of the nearest
+look."""
 SIGHT_RANGE, HEAD_HEIGHT = 3.0, 0.45
 """[m] how far and from how high the robot sees."""
 UNDER_BODY = 0.6
@@ -67,10 +68,7 @@ RULES: dict[str, tuple[Patch, ...]] = {
     "other_graphs": ((WAY, "MOST_REDRAWS", 0), (WAY, "AT_LEAST", 0)),
     "graphs_for_lost_ways": ((WAY, "_lost", lambda _before, _plan: False),),
     "graphs_for_dear_legs": ((WAY, "_dear", lambda _plan: False),),
-    "places_ahead": ((PLAN, "places_ahead", lambda *_args, **_more: []),),
-    "places_ahead_held": (
-        (PLAN, "places_ahead", lambda table, request, astride: _ahead(table, request) if astride else []),
-    ),
+    "places_ahead": (("planning.search.endpoints", "dear_to_turn", lambda *_: False),),
     "give_up": ((FRONTIER, "GIVE_UP_AFTER", math.inf),),
     "showed_nothing": ((FRONTIER, "SHOWN_SHARE", -math.inf),),
     "frontier_hysteresis": ((PLAN, "with_hysteresis", lambda _nodes, way, _goal, _previous: way),),
@@ -80,12 +78,6 @@ RULES: dict[str, tuple[Patch, ...]] = {
     "held_turns": ((PLAN, "_take_out_held", lambda *_: False),),
 }
 """What stands in place of each while it is out: module, name, substitute."""
-
-
-def _ahead(table: Any, request: Any) -> Any:
-    from planning.search.endpoints import places_ahead
-
-    return places_ahead(table, request, astride=True)
 
 
 @dataclass(slots=True)
@@ -118,14 +110,16 @@ class _World:
         rows, cols = (v // n for v in scene.height.shape)
         high = scene.height[: rows * n, : cols * n].reshape(rows, n, cols, n).max(axis=(1, 3))
         self.cell = scene.resolution * n
-        self.height = (high + np.random.default_rng(0).normal(0.0, NOISE, high.shape)).astype(np.float32)
+        self.height = high.astype(np.float32)
+        self.error = np.random.default_rng(0).normal(size=high.shape)
+        self.nearest = np.full(high.shape, SIGHT_RANGE)
         half = 0.5 * (n - 1) * scene.resolution
         self.origin = scene.origin[0] + half, scene.origin[1] + half
         self.seen = np.zeros(high.shape, np.bool_)
         self.upper = np.full(high.shape, np.nan, np.float32)
 
     def look(self, x: float, y: float) -> NDArray[np.bool_]:
-        """See from x, y [m]. -> (rows, cols) what of it is new."""
+        """See from x, y [m]. -> (rows, cols) what of it is new, or told better than before."""
         col, row = (round((v - o) / self.cell) for v, o in zip((x, y), self.origin, strict=True))
         eye = float(self.height[row, col]) + HEAD_HEIGHT
         yy, xx = np.indices(self.height.shape)
@@ -141,19 +135,21 @@ class _World:
         before = np.maximum.accumulate(np.concatenate([[-1e9], rise + 1e3 * ray])) - 1e3 * np.append(ray, 0)
         hides = np.where(np.diff(ray, prepend=-1) != 0, -1e9, before[:-1])
         new = np.zeros_like(self.seen)
-        new.flat[near] = rise >= hides - 0.5 * NOISE
+        new.flat[near] = rise >= hides - 1e-6
         new |= away < UNDER_BODY
         low = eye + hides * away.flat[near]
         bound = self.upper.flat[near]
         self.upper.flat[near] = np.where(hides > -1e8, np.fmin(bound, low), bound)
-        new &= ~self.seen
+        new &= ~self.seen | (away < self.nearest - self.cell)
         self.seen |= new
+        self.nearest[new] = away[new]
         return new
 
     def grid(self) -> ElevationGrid:
         """The map of now."""
         upper = np.where(self.seen, np.nan, self.upper).astype(np.float32)
-        height = fill_unknown(np.where(self.seen, self.height, np.nan).astype(np.float32), upper)
+        told = self.height + self.error * (NOISE + NOISE_GROWTH * self.nearest)
+        height = fill_unknown(np.where(self.seen, told, np.nan).astype(np.float32), upper)
         virtual = virtual_ground(height, self.seen, upper, self.cell)
         return ElevationGrid(height, self.seen.copy(), self.origin, self.cell, virtual)
 

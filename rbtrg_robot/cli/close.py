@@ -67,7 +67,7 @@ def close(
             "the stack began with a prior map, in which the robot finds itself: loops are closed in maps that it makes "
             "alone; use `map build` on the logs"
         )
-    built = build([run], out, drift=drift, areas=heard.areas, progress=progress, say=say)
+    built = build([run], out, drift=drift, areas=heard.areas, until=heard.newest, progress=progress, say=say)
     loops, moved = len(built.record["closed"]), built.record["moved_m"]
     if not loops or moved < least:
         what = f"{loops} loops moved it by {moved:.2f} m" if loops else "no loop was closed"

@@ -61,11 +61,13 @@ def build(
     sets: Sequence[str] = (),
     drift: float = 1.0,
     areas: Sequence[msg.GroundArea] = (),
+    until: int = 2**62,
     progress: Progress = lambda _what, _share: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> Built:
     """Write the map of `runs` to `out` (.npz), and beside it what was found (.json) and a picture (.png). The first
-    run's `map` is the map's frame; `areas` are drawn on it.
+    run's `map` is the map's frame; `areas` are drawn on it. Scans after `until` [ns] are left out: a log may
+    grow while it is read.
 
     Where a log holds the deskewed clouds they are used, else its sweeps along the poses that it holds. Where there are
     none, or settings of the odometry are others, odometry runs again. The configuration is
@@ -85,7 +87,8 @@ def build(
         raise _cannot(out, error) from error
     try:
         readers = [
-            _read(recording, number, log, file, sets, built, progress, say) for number, log in enumerate(runs)
+            _read(recording, number, log, file, sets, built, until, progress, say)
+            for number, log in enumerate(runs)
         ]
         params = config_of(runs[0], file, sets).elevation
         closing = Closing(recording, params, readers[0].origin, drift)
@@ -117,11 +120,13 @@ def _read(
     file: Path | None,
     sets: Sequence[str],
     built: Built,
+    until: int,
     progress: Progress,
     say: Callable[[str], None],
 ) -> Reader:
     config = config_of(log, file, sets, say)
     reader = Reader(recording, number, config)
+    reader.until = until
     wanted = frozenset(reader.inputs)
     name = f"run {number + 1}"
     progress(name, 0.0)
@@ -195,6 +200,8 @@ def _sweeps(reader: Reader, config: StackConfig, log: Path, done: Callable[[int]
         except MessageError:
             reader.refused += 1
         for stamp in sorted(poses.keys() & healths.keys()):
+            if stamp > reader.until:
+                return
             told, health = poses.pop(stamp), healths.pop(stamp)
             pose = swept.pose(told)
             swept.health(health)

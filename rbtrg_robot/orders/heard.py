@@ -47,6 +47,11 @@ class Heard:
         """For how long the odometry was heard, by its stamps [s]; 0 while nobody told of the map."""
         return (stamp_of(self._told[-1][0]) - stamp_of(self._told[0][0])) / NS if self._told else 0.0
 
+    @property
+    def newest(self) -> int:
+        """Stamp of the newest odometry [ns]."""
+        return stamp_of(self._told[-1][0]) if self._told else 0
+
     def odometry(self, stamp: int) -> tuple[msg.Odometry, float] | None:
         """What it told of the scan at `stamp` [ns], and how much higher [m] the map lay then; None where that was not
         heard."""

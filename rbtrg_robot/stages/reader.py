@@ -41,6 +41,8 @@ class Reader:
         self._fixed = origin is not None
         self.refused = 0
         """What could not be used."""
+        self.until = 2**62
+        """Later scans [ns] are left out."""
         self.scans = 0
         self._recording, self._run, self._robot = recording, run, config.facts
         self._sensors = {lidar.name: Sensor.of(lidar) for lidar in config.mounted_lidars()}
@@ -82,6 +84,8 @@ class Reader:
             self._record(scan)
 
     def _record(self, scan: Scan) -> None:
+        if scan.stamp > self.until:
+            return
         pose = np.eye(4)
         try:
             q = xyzw(scan.odom.pose.pose.orientation)

@@ -81,3 +81,6 @@ def test_a_map_by_sweeps_is_the_map_by_clouds(
     assert by_sweeps.record["known_cells"] == pytest.approx(by_clouds.record["known_cells"], rel=0.01)
     assert by_sweeps.stamp == by_clouds.stamp
     assert by_sweeps.pose == pytest.approx(by_clouds.pose, abs=1e-3)
+    early = by_clouds.record["keyframes"][0]["stamp_ns"] + 10**9
+    part = build([log], tmp_path / "part.npz", until=early)  # the log grew meanwhile
+    assert 0 <= early - part.stamp < 5 * 10**8

@@ -27,7 +27,7 @@ HELD_SHARE = 0.25
 """Share of the way of the wheels below which something holds the robot, and all of them spin: that tells no unit."""
 JUDGED_TURN, LEAST_TURN = math.radians(8.0), math.radians(0.3)
 """[rad] by the gyro over which the side of the scans is judged, and from one sweep to the next to count in it."""
-TURN_TOLD = math.radians(1.0)
+TURN_TOLD = math.radians(1.5)
 """A scan whose heading has a larger standard deviation [rad] tells no side."""
 FOUND_ELSEWHERE = -1.5
 """Share of it over which scans turn the other way no mirror does: the robot was looked for, and found elsewhere."""
@@ -139,9 +139,17 @@ class Handedness:
         """Of each step [rad]: size of the turn by the gyro, and turn of the scans to that side."""
         self.words = ""
         """That they turn the other way, for good; else empty."""
+        self.asked = False
+        """Whether the last scan turned, and its side is not known yet. In the map it would hide which way the next
+        ones turn: so it waits, for twice `JUDGED_TURN` at most."""
+        self._kept_out = 0.0
+        """[rad] of turns so far."""
 
     def add(self, name: LidarName, pose: Array, turned: float) -> None:
         """The scan fits at `pose` (4, 4). The gyro turned by `turned` [rad] since the scan before."""
+        turns = name not in self._right and abs(turned) >= LEAST_TURN
+        self._kept_out += abs(turned) if turns else 0.0
+        self.asked = turns and self._kept_out < 2.0 * JUDGED_TURN
         if name != self._name:
             self.forget()
             self._turns.clear()
@@ -163,4 +171,4 @@ class Handedness:
 
     def forget(self) -> None:
         """The turn to the next scan counts for nothing: no scan came, or it fits nowhere surely."""
-        self._last = None
+        self._last, self.asked = None, False

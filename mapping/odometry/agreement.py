@@ -147,9 +147,9 @@ class Handedness:
 
     def add(self, name: LidarName, pose: Array, turned: float) -> None:
         """The scan fits at `pose` (4, 4). The gyro turned by `turned` [rad] since the scan before."""
-        turns = name not in self._right and abs(turned) >= LEAST_TURN
-        self._kept_out += abs(turned) if turns else 0.0
-        self.asked = turns and self._kept_out < 2.0 * JUDGED_TURN
+        unknown = name not in self._right and abs(turned) >= LEAST_TURN
+        self._kept_out += abs(turned) if unknown else 0.0
+        self.asked = unknown and self._kept_out < 2.0 * JUDGED_TURN
         if name != self._name:
             self.forget()
             self._turns.clear()

@@ -112,15 +112,10 @@ def send(bus: Any, request: Any, *, wait: bool) -> int:
 def _starting(bus: Any) -> str:
     """Waits while a process starts for the first time, and tells so. What it still waits for at the end; empty where
     all run, or where the supervisor does not answer: the navigator may."""
-    import json
     import time
 
-    end, why, told = time.monotonic() + READY_LIMIT, "", ""
-    while (answer := bus.ask("status")) is not None:
-        status = json.loads(answer)
-        if status["ready"] or not any(row["state"].startswith("starting") for row in status["processes"]):
-            break
-        why = status["compiling"] or status["lacks"] or "processes start"
+    end, told = time.monotonic() + READY_LIMIT, ""
+    while why := _lacks(bus.ask("status")):
         if time.monotonic() > end:
             return why
         if why != told:
@@ -128,6 +123,19 @@ def _starting(bus: Any) -> str:
             say(f"not ready yet, waiting up to {READY_LIMIT:.0f} s: {why}", error=True)
         time.sleep(READY_PERIOD)
     return ""
+
+
+def _lacks(answer: bytes | None) -> str:
+    """What a stack that starts waits for, from what came as its status; empty where it has started, or where that is
+    no status: anybody may answer."""
+    import json
+
+    try:
+        status = json.loads(answer or b"")
+        starts = any(row["state"].startswith("starting") for row in status["processes"])
+        return "" if status["ready"] or not starts else status["compiling"] or status["lacks"] or "processes"
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return ""
 
 
 def _target(

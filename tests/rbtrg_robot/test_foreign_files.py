@@ -94,14 +94,18 @@ def test_what_becomes_a_pipe_between_two_looks_is_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "a").touch()
-    before = os.stat(tmp_path / "a")
-    (tmp_path / "a").unlink()
-    os.mkfifo(tmp_path / "a")
-    monkeypatch.setattr("hal.regular.os.stat", lambda _path: before)
-    opened = len(os.listdir("/proc/self/fd"))
+    pipe, look = tmp_path / "a", os.stat
+    pipe.touch()
+    before = os.stat(pipe)
+    pipe.unlink()
+    os.mkfifo(pipe)
+    monkeypatch.setattr(
+        "hal.regular.os.stat", lambda path, **how: before if path == pipe else look(path, **how)
+    )
     with pytest.raises(OSError, match="a pipe"):
-        open_regular(tmp_path / "a")
-    assert len(os.listdir("/proc/self/fd")) == opened
+        open_regular(pipe)
+    held = [Path("/proc/self/fd") / name for name in os.listdir("/proc/self/fd")]
+    assert str(pipe) not in [os.readlink(link) for link in held if link.is_symlink()]
 
 
 @pytest.mark.timeout(20)

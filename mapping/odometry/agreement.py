@@ -145,11 +145,14 @@ class Handedness:
         self._kept_out = 0.0
         """[rad] of turns so far."""
 
-    def add(self, name: LidarName, pose: Array, turned: float) -> None:
-        """The scan fits at `pose` (4, 4). The gyro turned by `turned` [rad] since the scan before."""
+    def turns(self, name: LidarName, turned: float) -> None:
+        """The gyro turned by `turned` [rad] since the scan before."""
         unknown = name not in self._right and abs(turned) >= LEAST_TURN
         self._kept_out += abs(turned) if unknown else 0.0
         self.asked = unknown and self._kept_out < 2.0 * JUDGED_TURN
+
+    def add(self, name: LidarName, pose: Array, turned: float) -> None:
+        """The scan fits at `pose` (4, 4). The gyro turned by `turned` [rad] since the scan before."""
         if name != self._name:
             self.forget()
             self._turns.clear()
@@ -171,4 +174,4 @@ class Handedness:
 
     def forget(self) -> None:
         """The turn to the next scan counts for nothing: no scan came, or it fits nowhere surely."""
-        self._last, self.asked = None, False
+        self._last = None

@@ -211,6 +211,8 @@ class LidarInertialOdometry:
         )
         if verdict.use:
             self._coasting.forget()
+        if scans:
+            self._sides.turns(sweep.name, self._turned)
         heading = scans and verdict.covariance[5, 5] < TURN_TOLD**2
         if heading and self._monitor.fits_again(match, True, True):
             self._sides.add(sweep.name, match.pose, self._turned)

@@ -412,11 +412,12 @@ def test_a_scan_that_turns_stays_out_of_the_map_until_its_side_is_known(side: fl
     for k in range(12):
         pose = np.eye(4)
         pose[:3, :3] = rotation_rpy(0.0, 0.0, side * math.radians(1.2) * k)
+        sides.turns("main", math.radians(1.2) if k else 0.0)
         sides.add("main", pose, math.radians(1.2) if k else 0.0)
         kept_out.append(sides.asked)
     assert kept_out[:8] == [False] + 7 * [True]
     assert kept_out[-1] is told
     assert bool(sides.words) is told
     for _ in range(12):
-        sides.add("main", pose, math.radians(1.2))
+        sides.turns("main", math.radians(1.2))
     assert not sides.asked, "a map that takes no scans is lost in the end"

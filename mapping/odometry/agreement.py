@@ -27,7 +27,7 @@ HELD_SHARE = 0.25
 """Share of the way of the wheels below which something holds the robot, and all of them spin: that tells no unit."""
 JUDGED_TURN, LEAST_TURN = math.radians(8.0), math.radians(0.3)
 """[rad] by the gyro over which the side of the scans is judged, and from one sweep to the next to count in it."""
-TURN_TOLD = math.radians(1.5)
+TURN_TOLD = math.radians(1.0)
 """A scan whose heading has a larger standard deviation [rad] tells no side."""
 FOUND_ELSEWHERE = -1.5
 """Share of it over which scans turn the other way no mirror does: the robot was looked for, and found elsewhere."""
@@ -139,17 +139,6 @@ class Handedness:
         """Of each step [rad]: size of the turn by the gyro, and turn of the scans to that side."""
         self.words = ""
         """That they turn the other way, for good; else empty."""
-        self.asked = False
-        """Whether the last scan turned, and its side is not known yet. In the map it would hide which way the next
-        ones turn: so it waits, for twice `JUDGED_TURN` at most."""
-        self._kept_out = 0.0
-        """[rad] of turns so far."""
-
-    def turns(self, name: LidarName, turned: float) -> None:
-        """The gyro turned by `turned` [rad] since the scan before."""
-        unknown = name not in self._right and abs(turned) >= LEAST_TURN
-        self._kept_out += abs(turned) if unknown else 0.0
-        self.asked = unknown and self._kept_out < 2.0 * JUDGED_TURN
 
     def add(self, name: LidarName, pose: Array, turned: float) -> None:
         """The scan fits at `pose` (4, 4). The gyro turned by `turned` [rad] since the scan before."""

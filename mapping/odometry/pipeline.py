@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,8 +103,6 @@ class LidarInertialOdometry:
         self._agreement = Agreement(SCANS_DISAGREE)
         self._distances = Scale()
         self._sides = Handedness()
-        self._waiting: list[tuple[Any, Array, float]] = []
-        """Scans for the local map, at which poses and how surely placed, while nobody knows their side."""
         self._coasting = Agreement(IMU_DISAGREES)
         """IMU and wheels since the last scan that was used."""
         self._rolled, self._turned = math.nan, 0.0
@@ -211,8 +208,6 @@ class LidarInertialOdometry:
         )
         if verdict.use:
             self._coasting.forget()
-        if scans:
-            self._sides.turns(sweep.name, self._turned)
         heading = scans and verdict.covariance[5, 5] < TURN_TOLD**2
         if heading and self._monitor.fits_again(match, True, True):
             self._sides.add(sweep.name, match.pose, self._turned)
@@ -238,11 +233,7 @@ class LidarInertialOdometry:
         if verdict.use:
             self._born = match.born
         if verdict.insert:
-            self._waiting.append((self._engine.scan, self._filter.pose(), self._place_variance()))
-            if not self._sides.asked:
-                for scan, pose, variance in self._waiting:
-                    self._engine.insert(pose, variance, scan=scan)
-                self._waiting.clear()
+            self._engine.insert(self._filter.pose(), self._place_variance())
             self._compare(searching, verdict.health is Health.GOOD)
             if sweep.name == "main":
                 self._calibrate(since, before, predicted, match.pose, verdict.covariance, cloud, others)

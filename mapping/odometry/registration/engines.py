@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,12 +77,8 @@ class Engine(Protocol):
     def align(self, guess: Array) -> Match:
         """Register the cloud near `guess` (4, 4)."""
 
-    @property
-    def scan(self) -> Any:
-        """What the last `take` made, for `insert`."""
-
-    def insert(self, pose: Array, born: float = 0.0, settled: bool = False, scan: Any = None) -> None:
-        """Add the last cloud, or an earlier `scan`, to the local map at `pose` (4, 4), see `VoxelPlanes.insert`."""
+    def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
+        """Add the cloud to the local map at `pose` (4, 4), see `VoxelPlanes.insert`."""
 
 
 class PlanesConfig(BaseModel):
@@ -149,17 +145,9 @@ class PlaneEngine:
         pose = _refine(self.planes, self._source, guess) if self.scans else guess
         return quality(self.planes, self._source, np.ascontiguousarray(pose))
 
-    @property
-    def scan(self) -> Array:
+    def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """See Engine."""
-        return self.frame
-
-    def insert(
-        self, pose: Array, born: float = 0.0, settled: bool = False, scan: Array | None = None
-    ) -> None:
-        """See Engine."""
-        points = self.frame if scan is None else scan
-        self.planes.insert(points, np.ascontiguousarray(pose), born, settled)
+        self.planes.insert(self.frame, np.ascontiguousarray(pose), born, settled)
         self.scans += 1
 
 
@@ -213,17 +201,10 @@ class GicpEngine:
             pose = np.ascontiguousarray(result.T_target_source)
         return quality(self.planes, self._points, pose)
 
-    @property
-    def scan(self) -> Any:
+    def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """See Engine."""
-        return self._cloud
-
-    def insert(self, pose: Array, born: float = 0.0, settled: bool = False, scan: Any = None) -> None:
-        """See Engine."""
-        cloud = self._cloud if scan is None else scan
-        self._map.insert(cloud, pose)
-        points = np.ascontiguousarray(cloud.points()[:, :3])
-        self.planes.insert(points, np.ascontiguousarray(pose), born, settled)
+        self._map.insert(self._cloud, pose)
+        self.planes.insert(self.frame, np.ascontiguousarray(pose), born, settled)
         self.scans += 1
 
 

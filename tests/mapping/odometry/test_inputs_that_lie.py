@@ -3,7 +3,6 @@ once, to see that it is the one."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from hal.lidar import LIDARS
-from hal.rotation import rotation_rpy, rotation_vector
+from hal.rotation import rotation_vector
 from hal.safety import monitors
 from hal.safety.monitors import Monitor, taken_out
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarName, LidarScan, Sample
@@ -404,20 +403,3 @@ def _turn(out: Driven, k: int) -> np.ndarray:
     from hal.rotation import rotation
 
     return rotation(out.scans[k].orientation)
-
-
-@pytest.mark.parametrize(("side", "told"), [(1.0, False), (-1.0, True)])
-def test_a_scan_that_turns_stays_out_of_the_map_until_its_side_is_known(side: float, told: bool) -> None:
-    sides, kept_out = Handedness(), []
-    for k in range(12):
-        pose = np.eye(4)
-        pose[:3, :3] = rotation_rpy(0.0, 0.0, side * math.radians(1.2) * k)
-        sides.turns("main", math.radians(1.2) if k else 0.0)
-        sides.add("main", pose, math.radians(1.2) if k else 0.0)
-        kept_out.append(sides.asked)
-    assert kept_out[:8] == [False] + 7 * [True]
-    assert kept_out[-1] is told
-    assert bool(sides.words) is told
-    for _ in range(12):
-        sides.turns("main", math.radians(1.2))
-    assert not sides.asked, "a map that takes no scans is lost in the end"

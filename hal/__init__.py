@@ -9,7 +9,7 @@ os.environ.setdefault(
     "NUMBA_CACHE_LOCATOR_CLASSES",
     "hal.kernel_cache.UserProvided,hal.kernel_cache.InTree,hal.kernel_cache.UserWide,IPythonCacheLocator,ZipCacheLocator",
 )
-# Each signature that does not fit is told in colours, to nobody: a twentieth of the time that compiling takes.
+# Numba writes in colours, to nobody, why each signature that it tries does not fit.
 os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 if "numba" in sys.modules:  # somebody imported it first
     sys.modules["numba"].core.config.reload_config()

@@ -1,10 +1,11 @@
-"""Numba's compiler without work that its result does not depend on: a fifth of the time of a first start.
+"""Numba's compiler without work that its result does not depend on. Compiling takes Python more time than LLVM.
 
-Compiling takes Python more time than LLVM. What is replaced here are private parts of numba; where one of them has
+What is replaced here are private parts of numba; where one of them has
 another shape in a later version, it stays as it is and takes its time."""
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 from numba.core import types
@@ -37,7 +38,8 @@ def _compare_what_is_set() -> None:
     def same(self: Any, other: object) -> bool:
         if not isinstance(other, TargetConfig):
             return NotImplemented
-        return self._values == other._values or self.values() == other.values()
+        as_set = type(self) is type(other) and self._values == other._values
+        return as_set or self.values() == other.values()
 
     if hasattr(TargetConfig(), "_values"):
         TargetConfig.__hash__, TargetConfig.__eq__ = hashed, same  # type: ignore[method-assign,assignment]
@@ -55,7 +57,8 @@ def _remember_signatures() -> None:
             found[args] = look(self, context, args, kws)
         return found[args]
 
-    BaseFunction.get_call_type = known  # type: ignore[method-assign,assignment]
+    if [*inspect.signature(look).parameters] == ["self", "context", "args", "kws"]:
+        BaseFunction.get_call_type = known  # type: ignore[method-assign,assignment]
 
 
 _without_entry_for_c()

@@ -154,7 +154,7 @@ def _read(
             if topic in wanted and entry.type == topic.type:
                 take(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
                 done((entry.log_time - held.begin) / 1e9)
-    elif told and counted(t.ODOM) and not config.odometry.without:
+    elif told and counted(t.ODOM) and counted(t.ODOM_HEALTH) and not config.odometry.without:
         _sweeps(reader, config, log, lambda stamp: done((stamp - held.begin) / 1e9))
     else:
         stages = stages_for(log, ["odometry"], config)

@@ -1,5 +1,5 @@
 """Sweeps of a log as clouds at the poses that its odometry told: motion is taken out along these poses, and nothing is
-registered again. That takes a fifth of what the odometry takes, and a sweep that is not wanted is not unpacked."""
+registered again. A sweep that is not wanted is not unpacked."""
 
 from __future__ import annotations
 

@@ -66,7 +66,6 @@ WAY, PLAN, FRONTIER = "rbtrg_robot.stages.way", "planning.search.plan", "plannin
 Patch = tuple[str, str, Any]
 RULES: dict[str, tuple[Patch, ...]] = {
     "other_graphs": ((WAY, "MOST_REDRAWS", 0), (WAY, "AT_LEAST", 0)),
-    "graphs_for_lost_ways": ((WAY, "_lost", lambda _before, _plan: False),),
     "graphs_for_dear_legs": ((WAY, "_dear", lambda _plan: False),),
     "places_ahead": (("planning.search.endpoints", "dear_to_turn", lambda *_: False),),
     "give_up": ((FRONTIER, "GIVE_UP_AFTER", math.inf),),

@@ -24,7 +24,7 @@ from rbtrg_robot.log.read import CONFIG, LogError
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg
-from rbtrg_robot.wire.messages import encode, time_msg
+from rbtrg_robot.wire.messages import encode, header, time_msg
 from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
 from tools.synthetic import arena_run
 
@@ -85,7 +85,10 @@ def test_what_cannot_be_is_refused_before_it_is_begun(run: Path, tmp_path: Path)
     assert not list(tmp_path.glob("map*"))
 
 
-def test_odometry_runs_again_where_the_log_holds_sweeps_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("poses", [False, True])
+def test_odometry_runs_again_where_the_log_does_not_tell_how_sure_its_poses_are(
+    tmp_path: Path, poses: bool
+) -> None:
     drive = replace(arena_run("xt16", duration=5.0, seed=1), lidar=LIDARS["xt16"].decimated(8))
     config = load(None, ["lidars=[{name: main, model: xt16}]"], scene="flat")
     with LogWriter(tmp_path / "run.mcap", {}, {CONFIG: config.to_yaml().encode()}) as log:
@@ -99,6 +102,9 @@ def test_odometry_runs_again_where_the_log_holds_sweeps_alone(tmp_path: Path) ->
                 topic, message, now = t.JOINTS, joint_msg(sample), sample.stamp
             elif isinstance(sample, LidarScan):
                 topic, message, now = t.POINTS, scan_msg(sample), sample.stamp + drive.lidar.period
+                if poses:
+                    somewhere = msg.Odometry(header=header(now, "odom"), child_frame_id="base_link")
+                    log.write(t.ODOM, encode(somewhere), now, now)
             else:
                 continue
             log.write(topic, encode(message), now, sample.stamp)

@@ -42,9 +42,6 @@ CELLS_ASIDE = 2
 """Cells to both sides at which a rim is no more uneven, as far as they are known: a wall that is seen along its length
 is none."""
 DIRECTION_COUNT = 8
-OPEN_REACH = 0.8
-"""[m] Ground nobody saw that lies so near to lower ground outside, with nothing between, may be as low as that: the
-inner corner of a kerb is no hole."""
 RIM_ROUNDING = 0.25
 """Cells by which the middles of two rims are farther apart along a direction than the slit is wide, as a rule."""
 TOGETHER_RADIUS, OF_THEM = 0.3, 0.5
@@ -109,32 +106,6 @@ def _rim(height, source, ground, points, r, c, dr, dc, low, most, out):  # pragm
 
 
 @borrows
-def _opens(height, trusted, r, c, low, high, reach):  # pragma: no cover - compiled
-    """Whether cell (r, c) lies before even ground between `low` and `high` [m], within `reach` cells of ground nobody
-    saw. The wall below a rim is no such ground: it has a rim beside it."""
-    rows, cols = height.shape
-    for k in range(2 * DIRECTION_COUNT):
-        dr, dc = math.sin(math.pi * k / DIRECTION_COUNT), math.cos(math.pi * k / DIRECTION_COUNT)
-        for step in range(1, reach + 1):
-            i, j = math.floor(r + step * dr + 0.5), math.floor(c + step * dc + 0.5)
-            if i < 0 or j < 0 or i >= rows or j >= cols:
-                break
-            if not trusted[i, j]:
-                continue
-            known, even = 0, low <= height[i, j] <= high
-            for b in range(RIM_CELLS + 1):
-                for a in range(-CELLS_ASIDE, CELLS_ASIDE + 1):
-                    x, y = math.floor(i + b * dr - a * dc + 0.5), math.floor(j + b * dc + a * dr + 0.5)
-                    if even and 0 <= x < rows and 0 <= y < cols and trusted[x, y]:
-                        known += 1
-                        even = abs(height[x, y] - height[i, j]) <= RIM_ROUGHNESS
-            if even and 2 * known > (RIM_CELLS + 1) * (2 * CELLS_ASIDE + 1):
-                return True
-            break
-    return False
-
-
-@borrows
 def _between(height, trusted, bound, deep, r, c, dr, dc, n, most, out):  # pragma: no cover - compiled
     """Raise `out` by one at the cells of a line of `n` from (r, c) along (dr, dc) that lie below its last rim, at most
     so many cells back."""
@@ -183,14 +154,13 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
     for r in range(rows):
         for c in range(cols):
             ground[r, c] = trusted[r, c] and source[r, c] < OVER
-    reach = int(OPEN_REACH / resolution)
     one, other = np.empty(4), np.empty(4)
     one[2] = other[2] = STEEP_FALL * resolution
     one[3] = other[3] = STEEPEST_FALL * resolution
     for r, c in seeds:
         z = np.float64(height[r, c] if trusted[r, c] else bound[r, c])
         drop = deep if trusted[r, c] else LEAST_DEPTH
-        narrowest = rims = np.inf
+        narrowest = np.inf
         for k in range(DIRECTION_COUNT):
             dr, dc = math.sin(math.pi * k / DIRECTION_COUNT), math.cos(math.pi * k / DIRECTION_COUNT)
             if not _rim(height, source, ground, points, r, c, dr, dc, z + 0.5 * drop, most, one):
@@ -200,12 +170,9 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
             width = (one[0] + other[0]) * resolution
             if abs(one[1] - other[1]) > deep:
                 continue  # a face with something low before it, whoever looks for a way over it
-            if width <= WIDEST_HOLE and width < narrowest and min(one[1], other[1]) - z > drop:
-                narrowest, rims = width, min(one[1], other[1])
-        if narrowest == np.inf:
-            continue
-        low, high = rims - deep, min(rims - LEAST_DEPTH, z + LEAST_DEPTH)
-        if trusted[r, c] or not _opens(height, trusted, r, c, low, high, reach):
+            if width <= WIDEST_HOLE and min(one[1], other[1]) - z > drop:
+                narrowest = min(narrowest, width)
+        if narrowest < np.inf:
             out[r, c] = narrowest
 
 

@@ -115,23 +115,6 @@ def test_a_notch_in_a_wall_and_a_ditch_before_a_wall_are_none() -> None:
         assert not measure((ground, source, trusted, points, bound)).any()
 
 
-@pytest.mark.parametrize(
-    ("floor", "seen_down", "told"),
-    [(-0.19, -0.08, False), (-0.3, -0.08, True), (-0.19, -0.3, True), (-0.02, -0.08, True)],
-    ids=["corner of a kerb", "edge of a pit", "deeper than the ground outside", "ground outside is level"],
-)
-def test_the_inner_corner_of_a_kerb_is_none(floor: float, seen_down: float, told: bool) -> None:
-    """A slit of 0.2 m from which rays went down, and which ends on ground at `floor` [m]."""
-    height, source, trusted, points, bound = slit(5, math.pi / 2)
-    bound[bound < np.inf] = seen_down
-    outside = np.s_[:, N // 2 + 6 :]
-    height[outside], bound[outside], trusted[outside] = floor, np.inf, True
-    source[outside], points[outside] = 2, 10
-    out = np.zeros((N, N), np.float32)
-    widths(height, source, trusted, points, bound, RES, 0.24, out)
-    assert bool(out[N // 2 : N // 2 + 6, N // 2 - 8 : N // 2 + 4].any()) is told
-
-
 def approach(width: float, angle: float, near: float) -> Iterator[ElevationMap]:
     """The map of a robot of `max_gap` 0.12 m that drives at 0.45 m/s towards a slit 2 m deep, until its front is `near`
     [m] before it."""
